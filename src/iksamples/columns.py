@@ -1,0 +1,40 @@
+"""Every column of the tables that leave the package: its unit and what it means."""
+
+from typing import NamedTuple
+
+
+class Column(NamedTuple):
+    """A column's unit ("-" for none) and meaning."""
+
+    unit: str
+    meaning: str
+
+
+_OVER_SEEDS = {
+    "error_mean_mm": Column("mm", "mean position error, mean over seeds"),
+    "error_sd_mm": Column("mm", "standard deviation over seeds of a seed's mean position error"),
+    "error_p95_mm": Column("mm", "95th percentile of the position error, mean over seeds"),
+    "error_max_mm": Column("mm", "largest position error of any seed"),
+    "error_over_spacing": Column("-", "mean position error divided by the grid's spacing"),
+}
+
+TABLE: dict[str, Column] = {
+    "samples_per_axis": Column("-", "m, grid points along each axis"),
+    "n_samples": Column("-", "samples recorded"),
+    "n_trained": Column("-", "samples that really trained (held-out points taken off)"),
+    "spacing_mm": Column("mm", "d, distance between neighbours of the grid"),
+    "fill_distance_mm": Column("mm", "largest distance from a point to its nearest sample"),
+    "n_seeds": Column("-", "networks trained"),
+    "n_diverged": Column("-", "networks whose weights are not finite; left out of the statistics"),
+    **_OVER_SEEDS,
+    "estimate_mm": Column("mm", "the paper's Eq. 25 with this study's weights, mean over seeds"),
+    "wbar": Column("-", "average weight in that estimate, mean over seeds"),
+    "above_estimate": Column("-", "share of the workspace where the error exceeds the estimate"),
+    "paper_error_mm": Column("mm", "mean error in the paper's Table 1"),
+    "paper_error_sd_mm": Column("mm", "its ± in the paper's Table 1"),
+    "paper_estimate_mm": Column("mm", "estimate in the paper's Table 1"),
+    "paper_error_over_spacing": Column("-", "e/d in the paper's Table 1"),
+    "wbar_for_paper": Column("-", "average weight that Eq. 25 needs to give the paper's estimate"),
+    **{f"cube_{name}": column for name, column in _OVER_SEEDS.items()},
+}
+"""``table.csv``: errors on the study's first path; over the whole workspace with prefix cube_."""

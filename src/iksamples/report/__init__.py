@@ -1,0 +1,1 @@
+"""Report: what was found, on one page, beside what the paper prints."""

@@ -1,0 +1,70 @@
+"""Where a study's files lie: the one place that knows the results folder."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study
+from iksamples.training.network import StackedMLP
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NETWORK = "network"
+"""The method that a study's ``network`` and ``training`` sections describe."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one set of samples; its files are read when first asked for.
+
+    Attributes:
+        results: The study's results folder, such as ``results/paper``.
+        method: Name of the method.
+        label: Name of the set of samples, such as ``grid5``.
+    """
+
+    results: Path
+    method: str
+    label: str
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the method's files on these samples."""
+        return self.results / self.method / self.label
+
+    @property
+    def samples_path(self) -> Path:
+        """File of the samples."""
+        return self.results / "samples" / f"{self.label}.parquet"
+
+    @cached_property
+    def samples(self) -> SampleSet:
+        """The samples."""
+        return SampleSet.load(self.samples_path)
+
+    @cached_property
+    def network(self) -> StackedMLP:
+        """The trained networks of all seeds."""
+        return StackedMLP.load(self.folder / "weights.safetensors")
+
+    def table(self, name: str) -> "pd.DataFrame":
+        """One of the cell's tables: history, members, waypoints, errors, cube or bounds."""
+        import pandas as pd
+
+        return pd.read_parquet(self.folder / f"{name}.parquet")
+
+
+def labels(study: Study) -> list[str]:
+    """Names of the study's sets of samples, smallest first."""
+    return [f"grid{m}" for m in study.samples.points_per_axis]
+
+
+def cells(study: Study, results: str | Path) -> Iterator[Cell]:
+    """Every method on every set of samples of a study."""
+    for label in labels(study):
+        yield Cell(Path(results), NETWORK, label)

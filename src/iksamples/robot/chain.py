@@ -1,0 +1,271 @@
+"""Forward kinematics of a serial chain: position of the tool centre point and its Jacobian.
+
+The chain is kept in product-of-exponentials form (Lynch and Park, *Modern Robotics*, ch. 4): for
+each joint the unit axis and a point on it, both in the base frame with all joints at zero, and the
+position of the tool centre point there. Nothing else of a URDF or a DH table matters for where the
+tool goes.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iksamples.errors import IksamplesError
+
+
+Floats = NDArray[np.float64]
+JointKind = Literal["revolute", "prismatic"]
+
+MM_PER_M = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class SerialChain:
+    """A serial chain of revolute and prismatic joints.
+
+    A joint's value is an angle in radians, or a length in millimetres where the joint is prismatic.
+
+    Attributes:
+        joint_names: One name per joint, from the base to the tip.
+        joint_kinds: ``"revolute"`` or ``"prismatic"``, one per joint.
+        axes: Unit axes in the base frame at zero, shape (joints, 3).
+        points_mm: A point on each axis in the base frame at zero [mm], shape (joints, 3).
+        tip_mm: Tool centre point in the base frame at zero [mm], shape (3,).
+        lower: Lower joint limits [rad or mm], shape (joints,).
+        upper: Upper joint limits [rad or mm], shape (joints,).
+    """
+
+    joint_names: tuple[str, ...]
+    joint_kinds: tuple[JointKind, ...]
+    axes: Floats
+    points_mm: Floats
+    tip_mm: Floats
+    lower: Floats
+    upper: Floats
+
+    @property
+    def n_joints(self) -> int:
+        """Number of moving joints."""
+        return len(self.joint_names)
+
+    def forward_mm(self, joints: ArrayLike) -> Floats:
+        """Position of the tool centre point.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+
+        Returns:
+            Positions [mm], shape (..., 3).
+        """
+        return self._carry(np.asarray(joints, float), self.tip_mm, self.n_joints)
+
+    def skeleton_mm(self, joints: ArrayLike) -> Floats:
+        """Where the joints and the tip are, to draw the arm as a line.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+
+        Returns:
+            A point on every joint's axis and, last, the tool centre point [mm],
+            shape (..., joints + 1, 3).
+        """
+        q = np.asarray(joints, float)
+        knots = [self._carry(q, self.points_mm[i], i) for i in range(self.n_joints)]
+        return np.stack([*knots, self.forward_mm(q)], axis=-2)
+
+    def jacobian_mm(self, joints: ArrayLike) -> Floats:
+        """Geometric Jacobian of the tool centre point's position.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+
+        Returns:
+            ``J[..., k, i] = d position_k / d joint_i`` [mm/rad, or 1 where the joint is prismatic],
+            shape (..., 3, joints).
+        """
+        q = np.asarray(joints, float)
+        tip = self.forward_mm(q)
+        columns = []
+        for i in range(self.n_joints):
+            origin = self._carry(q, self.points_mm[i], i)
+            # A direction is carried like the difference of two points.
+            axis = self._carry(q, self.points_mm[i] + self.axes[i], i) - origin
+            columns.append(
+                np.cross(axis, tip - origin) if self.joint_kinds[i] == "revolute" else axis
+            )
+        return np.stack(columns, axis=-1)
+
+    def within_limits(self, joints: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each joint vector lies inside the joint limits.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+            tolerance: Slack at either limit [rad or mm], for values that sit on it.
+
+        Returns:
+            Shape (...).
+        """
+        q = np.asarray(joints, float)
+        return np.all((q >= self.lower - tolerance) & (q <= self.upper + tolerance), axis=-1)
+
+    def with_limits(self, limits: dict[str, tuple[float, float]]) -> "SerialChain":
+        """The same chain with some joint limits replaced.
+
+        Args:
+            limits: Joint name -> (lower, upper) [rad or mm].
+
+        Raises:
+            IksamplesError: A name is not a joint of the chain.
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for name, (low, high) in limits.items():
+            if name not in self.joint_names:
+                raise IksamplesError(
+                    f"robot.limits_rad: no joint '{name}'; the joints are "
+                    f"{', '.join(self.joint_names)}."
+                )
+            i = self.joint_names.index(name)
+            lower[i], upper[i] = low, high
+        return SerialChain(
+            self.joint_names,
+            self.joint_kinds,
+            self.axes,
+            self.points_mm,
+            self.tip_mm,
+            lower,
+            upper,
+        )
+
+    def _carry(self, q: Floats, point: Floats, n: int) -> Floats:
+        """Moves a point that is fixed behind joint ``n - 1`` by the joints before it."""
+        if q.shape[-1:] != (self.n_joints,):
+            raise ValueError(f"expected {self.n_joints} joint values last, got shape {q.shape}")
+        moved = np.broadcast_to(point, (*q.shape[:-1], 3))
+        for i in reversed(range(n)):
+            value = q[..., i, None]
+            if self.joint_kinds[i] == "prismatic":
+                moved = moved + value * self.axes[i]
+                continue
+            arm = moved - self.points_mm[i]
+            axis = self.axes[i]
+            # Rodrigues' rotation formula.
+            moved = (
+                self.points_mm[i]
+                + np.cos(value) * arm
+                + np.sin(value) * np.cross(axis, arm)
+                + (1 - np.cos(value)) * (arm @ axis)[..., None] * axis
+            )
+        return np.array(moved)
+
+
+def load_urdf(
+    path: str | Path, base_link: str | None = None, tip_link: str | None = None
+) -> SerialChain:
+    """Reads the chain between two links of a URDF.
+
+    Args:
+        path: URDF file (lengths in metres, angles in radians).
+        base_link: First link; the file's root link if None.
+        tip_link: Link whose origin is the tool centre point; if None, the only leaf of the tree.
+
+    Returns:
+        The chain, with lengths in millimetres. Fixed joints are folded in; a continuous joint gets
+        the limits -pi and pi.
+
+    Raises:
+        IksamplesError: The file cannot be read, a link is missing, the tip is ambiguous, or a joint
+            between the links is of a kind that is not supported.
+    """
+    # Here, not at the top: most steps only ever see a chain that is already read.
+    from urdf_parser_py import urdf as parser
+    from urdf_parser_py.xml_reflection.core import ParseError
+
+    path = Path(path)
+    try:
+        # Parsed from bytes, since lxml refuses text that declares an encoding.
+        robot = parser.URDF.from_xml_string(path.read_bytes())
+    except OSError as error:
+        raise IksamplesError(f"{path}: cannot read the URDF ({error.strerror}).") from None
+    except (ParseError, ValueError, SyntaxError) as error:
+        raise IksamplesError(f"{path}: not a valid URDF ({error}).") from None
+
+    base = base_link or robot.get_root()
+    parents = {joint.parent for joint in robot.joints}
+    leaves = [link.name for link in robot.links if link.name not in parents]
+    if tip_link is None and len(leaves) != 1:
+        raise IksamplesError(
+            f"{path}: the arm has {len(leaves)} end links ({', '.join(leaves)}); "
+            "name one as robot.tip_link."
+        )
+    tip = tip_link or leaves[0]
+    for link in (base, tip):
+        if link not in robot.link_map:
+            raise IksamplesError(
+                f"{path}: no link '{link}'; the links are {', '.join(robot.link_map)}."
+            )
+    try:
+        names = robot.get_chain(base, tip, links=False)
+    except KeyError:
+        raise IksamplesError(f"{path}: link '{tip}' does not hang from link '{base}'.") from None
+
+    frame = np.eye(4)  # the current joint's frame in the base frame, all joints at zero
+    joint_names: list[str] = []
+    kinds: list[JointKind] = []
+    axes, points, lower, upper = [], [], [], []
+    for name in names:
+        joint = robot.joint_map[name]
+        frame = frame @ _transform(joint.origin)
+        if joint.type == "fixed":
+            continue
+        if joint.type not in ("revolute", "continuous", "prismatic"):
+            raise IksamplesError(
+                f"{path}: joint '{name}' is {joint.type}; only fixed, revolute, continuous and "
+                "prismatic joints are supported."
+            )
+        if joint.mimic is not None:
+            raise IksamplesError(
+                f"{path}: joint '{name}' mimics another joint, which is not supported."
+            )
+        axis = frame[:3, :3] @ np.asarray(joint.axis or (1.0, 0.0, 0.0), float)
+        unit = MM_PER_M if joint.type == "prismatic" else 1.0
+        low, high = (
+            (-np.pi, np.pi)
+            if joint.type == "continuous"
+            else (joint.limit.lower * unit, joint.limit.upper * unit)
+        )
+        joint_names.append(name)
+        kinds.append("prismatic" if joint.type == "prismatic" else "revolute")
+        axes.append(axis / np.linalg.norm(axis))
+        points.append(frame[:3, 3] * MM_PER_M)
+        lower.append(low)
+        upper.append(high)
+    if not joint_names:
+        raise IksamplesError(f"{path}: no moving joint between '{base}' and '{tip}'.")
+    return SerialChain(
+        tuple(joint_names),
+        tuple(kinds),
+        np.array(axes),
+        np.array(points),
+        frame[:3, 3] * MM_PER_M,
+        np.array(lower),
+        np.array(upper),
+    )
+
+
+def _transform(origin: object) -> Floats:
+    """A URDF origin (metres, fixed-axis roll, pitch, yaw in radians) as a 4 x 4 matrix."""
+    matrix = np.eye(4)
+    if origin is None:
+        return matrix
+    roll, pitch, yaw = getattr(origin, "rpy", None) or (0.0, 0.0, 0.0)
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
+    matrix[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    matrix[:3, 3] = getattr(origin, "xyz", None) or (0.0, 0.0, 0.0)
+    return matrix

@@ -1,0 +1,1 @@
+"""Samples: which points are recorded, and their joint angles."""

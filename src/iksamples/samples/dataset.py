@@ -1,0 +1,250 @@
+"""One set of samples: positions of the tool centre point and the joint values that reach them."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from iksamples import __version__
+from iksamples.errors import IksamplesError
+from iksamples.robot.chain import Floats, SerialChain
+from iksamples.robot.workspace import reach
+from iksamples.samples import designs
+from iksamples.study import Study
+
+
+AXES = ("x", "y", "z")
+_ROLES = ("sample", "validation", "test")
+# Streams of the study's generator: fresh points of different use are independent of each other.
+_FRESH_STREAM = {"validation": 1, "test": 2}
+_REGION_POINTS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSet:
+    """Samples of one size, with the fresh points that check the training.
+
+    Attributes:
+        label: Name of the set, such as ``grid5``.
+        points_per_axis: m of the grid.
+        joint_names: One name per joint.
+        positions_mm: The samples' positions [mm], shape (n, 3).
+        joints: The samples' joint values [rad], shape (n, joints).
+        validation_mm: Fresh positions for the validation loss [mm], shape (v, 3), may be empty.
+        validation_joints: Their joint values [rad], shape (v, joints).
+        test_mm: Fresh positions for the test loss [mm], shape (t, 3), may be empty.
+        test_joints: Their joint values [rad], shape (t, joints).
+        offset_mm: What the normalisation subtracts [mm], shape (3,).
+        scale_mm: What the normalisation divides by [mm], shape (3,).
+        spacing_mm: Distance d between neighbours of the grid [mm].
+        fill_distance_mm: Largest distance from a point of the region to its nearest sample [mm].
+        n_masked: Grid points left out because the arm cannot use them.
+    """
+
+    label: str
+    points_per_axis: int
+    joint_names: tuple[str, ...]
+    positions_mm: Floats
+    joints: Floats
+    validation_mm: Floats
+    validation_joints: Floats
+    test_mm: Floats
+    test_joints: Floats
+    offset_mm: Floats
+    scale_mm: Floats
+    spacing_mm: float
+    fill_distance_mm: float
+    n_masked: int
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return len(self.positions_mm)
+
+    def normalise(self, positions_mm: ArrayLike) -> Floats:
+        """Network inputs for positions [mm], shape (..., 3)."""
+        return (np.asarray(positions_mm, float) - self.offset_mm) / self.scale_mm
+
+    def digest(self) -> str:
+        """Twelve hexadecimal digits of everything a training reads from the set."""
+        content = hashlib.sha256()
+        for array in (*self._parts("mm"), *self._parts("joints"), self.offset_mm, self.scale_mm):
+            content.update(str(array.shape).encode())
+            content.update(np.ascontiguousarray(array, float).tobytes())
+        return content.hexdigest()[:12]
+
+    def save(self, path: str | Path) -> None:
+        """Writes a Parquet file: a row per point, the rest in the schema's metadata."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        positions = self._parts("mm")
+        mm, joints = np.concatenate(positions), np.concatenate(self._parts("joints"))
+        columns: dict[str, object] = {"role": np.repeat(_ROLES, [len(part) for part in positions])}
+        columns |= {f"{axis}_mm": mm[:, i] for i, axis in enumerate(AXES)}
+        columns |= {f"{axis}_input": self.normalise(mm)[:, i] for i, axis in enumerate(AXES)}
+        columns |= {f"q_{name}_rad": joints[:, i] for i, name in enumerate(self.joint_names)}
+        header = {
+            "label": self.label,
+            "points_per_axis": self.points_per_axis,
+            "joint_names": self.joint_names,
+            "offset_mm": self.offset_mm.tolist(),
+            "scale_mm": self.scale_mm.tolist(),
+            "spacing_mm": self.spacing_mm,
+            "fill_distance_mm": self.fill_distance_mm,
+            "n_masked": self.n_masked,
+            "digest": self.digest(),
+            "made_by": f"iksamples {__version__}",
+        }
+        table = pa.table(columns).replace_schema_metadata({"iksamples": json.dumps(header)})
+        parquet.write_table(table, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "SampleSet":
+        """Reads what ``save`` wrote.
+
+        Raises:
+            IksamplesError: The file cannot be read or is not a set of samples.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        try:
+            table = parquet.read_table(path)
+            header = json.loads(table.schema.metadata[b"iksamples"])
+        except (OSError, pa.ArrowInvalid, KeyError, TypeError) as error:
+            raise IksamplesError(f"{path}: not a file of samples ({error}).") from None
+
+        def take(role: str, names: list[str]) -> Floats:
+            rows = table.filter(pa.compute.equal(table["role"], role))
+            return np.stack([rows[name].to_numpy() for name in names], axis=-1)
+
+        mm = [f"{axis}_mm" for axis in AXES]
+        joints = [f"q_{name}_rad" for name in header["joint_names"]]
+        samples, validation, test = ((take(role, mm), take(role, joints)) for role in _ROLES)
+        return cls(
+            header["label"],
+            header["points_per_axis"],
+            tuple(header["joint_names"]),
+            *samples,
+            *validation,
+            *test,
+            np.array(header["offset_mm"]),
+            np.array(header["scale_mm"]),
+            header["spacing_mm"],
+            header["fill_distance_mm"],
+            header["n_masked"],
+        )
+
+    def _parts(self, what: str) -> tuple[Floats, Floats, Floats]:
+        if what == "mm":
+            return self.positions_mm, self.validation_mm, self.test_mm
+        return self.joints, self.validation_joints, self.test_joints
+
+
+def grid_samples(study: Study, chain: SerialChain, points_per_axis: int) -> SampleSet:
+    """Samples on an evenly spaced grid of the study's workspace.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        points_per_axis: m; the grid has m^3 points.
+
+    Raises:
+        IksamplesError: The arm cannot use a grid point and the study does not mask it, or too few
+            points are left.
+    """
+    box = study.workspace
+    label = f"grid{points_per_axis}"
+    nodes = designs.full_grid(box.lower_mm, box.upper_mm, points_per_axis)
+    answer = reach(study, chain, nodes)
+    if study.samples.unreachable == "error":
+        answer.require_usable(
+            chain,
+            f"{label} of the workspace",
+            "Move the workspace, widen robot.limits_rad, or set samples.unreachable: mask.",
+        )
+    kept = answer.usable
+    n = int(np.sum(kept))
+    if n < 2 or np.any(np.ptp(nodes[kept], axis=0) == 0):
+        raise IksamplesError(
+            f"{label} of the workspace: only {n} of {len(nodes)} grid points can be used, too few "
+            "to span it. Move the workspace or drop this grid."
+        )
+    offset_mm, scale_mm = _normalisation(study.samples.normalisation, nodes[kept])
+    validation = _fresh(study, chain, n, "validation")
+    test = _fresh(study, chain, n, "test")
+    return SampleSet(
+        label,
+        points_per_axis,
+        chain.joint_names,
+        nodes[kept],
+        answer.joints[kept],
+        *validation,
+        *test,
+        offset_mm,
+        scale_mm,
+        designs.grid_spacing_mm(box.lower_mm, box.upper_mm, points_per_axis),
+        designs.grid_fill_distance_mm(box.lower_mm, box.upper_mm, points_per_axis)
+        if n == len(nodes)
+        else designs.fill_distance_mm(nodes[kept], region_points(study, chain, _REGION_POINTS)),
+        len(nodes) - n,
+    )
+
+
+def region_points(study: Study, chain: SerialChain, n: int) -> Floats:
+    """Points spread over the usable part of the workspace, the same for every grid.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        n: Number of Sobol points in the box; the box's eight corners are added, and points the arm
+            cannot use are left out.
+
+    Returns:
+        Positions [mm], shape (at most n + 8, 3).
+    """
+    box = study.workspace
+    points = np.concatenate(
+        [
+            designs.full_grid(box.lower_mm, box.upper_mm, 2),
+            designs.sobol(box.lower_mm, box.upper_mm, n, seed=0),
+        ]
+    )
+    answer = reach(study, chain, points)
+    if study.samples.unreachable == "error":
+        answer.require_usable(chain, "The workspace", "Move it, or set samples.unreachable: mask.")
+    return points[answer.usable]
+
+
+def _normalisation(kind: str, positions_mm: Floats) -> tuple[Floats, Floats]:
+    """Offset and scale [mm] of the inputs' min-max scaling."""
+    low, high = positions_mm.min(axis=0), positions_mm.max(axis=0)
+    if kind == "unit":
+        return low, high - low
+    if kind == "symmetric":
+        return (low + high) / 2, (high - low) / 2
+    return np.zeros_like(low), np.ones_like(low)
+
+
+def _fresh(study: Study, chain: SerialChain, n: int, role: str) -> tuple[Floats, Floats]:
+    """Fresh points for a role: positions [mm] and joint values [rad]."""
+    held_out = study.training.held_out
+    share = held_out.validation_share if role == "validation" else held_out.test_share
+    if held_out.source == "grid" or share == 0:
+        return np.empty((0, 3)), np.empty((0, chain.n_joints))
+    wanted = max(int(np.ceil(share * n)), held_out.at_least)
+    generator = np.random.default_rng([_FRESH_STREAM[role], n])
+    positions = np.empty((0, 3))
+    joints = np.empty((0, chain.n_joints))
+    while len(positions) < wanted:
+        points = designs.uniform(
+            study.workspace.lower_mm, study.workspace.upper_mm, 4 * wanted, generator
+        )
+        answer = reach(study, chain, points)
+        positions = np.concatenate([positions, points[answer.usable]])
+        joints = np.concatenate([joints, answer.joints[answer.usable]])
+    return positions[:wanted], joints[:wanted]

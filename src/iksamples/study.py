@@ -1,0 +1,340 @@
+"""The study file: one typed, validated description of everything a study does.
+
+Every field has a description, a unit where it has one, a range and a default, and the defaults are
+the paper's study. ``config/schema.json`` and the table in ``config/README.md`` are generated from
+here (``iksamples schema``).
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from iksamples.errors import IksamplesError
+
+
+Vector3 = tuple[float, float, float]
+Limits = tuple[float, float]
+
+
+class Section(BaseModel):
+    """A part of the study file; an unknown key is an error, and nothing changes once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Robot(Section):
+    """Which arm, and which of its inverse kinematics is meant."""
+
+    urdf: str = Field(
+        "config/robots/rrr70.urdf", description="URDF of the arm, relative to the working folder."
+    )
+    base_link: str | None = Field(None, description="First link of the chain; null: the root link.")
+    tip_link: str | None = Field(
+        None, description="Link whose origin is the tool centre point; null: the only end link."
+    )
+    inverse: Literal["yaw-pitch-pitch"] = Field(
+        "yaw-pitch-pitch", description="Closed-form inverse kinematics that labels the samples."
+    )
+    elbow: Literal["negative", "positive"] = Field(
+        "negative", description="Branch of the inverse kinematics: sign of the elbow angle."
+    )
+    limits_rad: dict[str, Limits] = Field(
+        {}, description="Joint limits [rad] that replace the URDF's, by joint name."
+    )
+
+
+class Workspace(Section):
+    """The box in which the arm is to work."""
+
+    lower_mm: Vector3 = Field((20.0, 20.0, 0.0), description="Lower corner of the box [mm].")
+    upper_mm: Vector3 = Field((80.0, 80.0, 60.0), description="Upper corner of the box [mm].")
+    min_singular_value_mm: float = Field(
+        1.0,
+        ge=0,
+        description="A point counts as singular where the smallest singular value of the "
+        "Jacobian [mm/rad] is below this.",
+    )
+
+    @model_validator(mode="after")
+    def _upper_above_lower(self) -> "Workspace":
+        if any(low >= high for low, high in zip(self.lower_mm, self.upper_mm, strict=True)):
+            raise ValueError("upper_mm must be greater than lower_mm along every axis")
+        return self
+
+
+class Samples(Section):
+    """Which points are recorded."""
+
+    design: Literal["grid"] = Field("grid", description="How the points are placed.")
+    points_per_axis: list[Annotated[int, Field(ge=2, le=32)]] = Field(
+        [2, 3, 4, 5, 6, 7, 8],
+        min_length=1,
+        description="Grids to compare: m points per axis give m^3 samples.",
+    )
+    unreachable: Literal["error", "mask"] = Field(
+        "error",
+        description="A grid point the arm cannot reach inside its limits stops the study, or is "
+        "left out and counted. Never moved.",
+    )
+    normalisation: Literal["unit", "symmetric", "none"] = Field(
+        "unit",
+        description="Min-max scaling of the inputs: to [0, 1], to [-1, 1], or none (mm as they "
+        "are). Outputs stay in radians.",
+    )
+
+    @field_validator("points_per_axis")
+    @classmethod
+    def _sorted_unique(cls, value: list[int]) -> list[int]:
+        if len(set(value)) != len(value):
+            raise ValueError("each grid once, please")
+        return sorted(value)
+
+
+class Network(Section):
+    """The network's shape."""
+
+    hidden: list[Annotated[int, Field(ge=1, le=1024)]] = Field(
+        [16], max_length=8, description="Neurons of each hidden layer."
+    )
+    activation: Literal["relu", "tanh"] = Field(
+        "relu", description="Activation of the hidden layers; the output layer is linear."
+    )
+
+
+class EarlyStopping(Section):
+    """Per seed, on the validation loss."""
+
+    patience: int = Field(10, ge=1, le=100_000, description="Epochs without improvement.")
+    min_delta_rad2: float = Field(
+        1e-5, ge=0, description="Smallest drop of the validation loss that counts [rad^2]."
+    )
+    restore_best: bool = Field(
+        False, description="Keep the weights of the best epoch instead of the last."
+    )
+
+
+class HeldOut(Section):
+    """Where validation and test points come from.
+
+    Five per cent of 8 samples is 0.4 of a sample. By default every grid node trains and the
+    validation and test points are fresh points of the workspace; ``grid`` takes them from the
+    grid's nodes, per seed, as Keras' ``validation_split`` would, and the nodes left are counted.
+    """
+
+    source: Literal["fresh", "grid"] = Field(
+        "fresh", description="Fresh points of the workspace, or nodes taken from the grid."
+    )
+    validation_share: float = Field(
+        0.05, ge=0, le=0.5, description="Validation points as a share of the samples."
+    )
+    test_share: float = Field(
+        0.05, ge=0, le=0.4, description="Test points as a share of the samples."
+    )
+    at_least: int = Field(
+        16,
+        ge=0,
+        le=10_000,
+        description="Fewest fresh points of either kind (not used when the source is the grid).",
+    )
+
+
+class Training(Section):
+    """How the networks are trained."""
+
+    optimizer: Literal["adam"] = Field("adam", description="Optimiser.")
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Step size of the optimiser.")
+    batch_size: int = Field(8, ge=1, le=1_000_000, description="Samples per optimiser step.")
+    epochs: int = Field(500, ge=1, le=1_000_000, description="Passes over the samples, at most.")
+    early_stopping: EarlyStopping | None = Field(
+        None, description="Stop a seed when its validation loss stalls; null: never."
+    )
+    held_out: HeldOut = Field(HeldOut(), description="Validation and test points.")
+    seeds: int = Field(20, ge=1, le=100_000, description="Networks trained per grid.")
+    first_seed: int = Field(0, ge=0, lt=2**31, description="Seed of the first network.")
+    snapshots: int = Field(
+        50, ge=2, le=1000, description="Epochs at which weights are kept to replay the training."
+    )
+    engine: Literal["auto", "fused", "reference"] = Field(
+        "auto",
+        description="Training loop: compiled over seeds and steps, stacked autograd in torch, or "
+        "the first of the two that can do the study.",
+    )
+    accelerator: Literal["auto", "cpu", "gpu"] = Field(
+        "cpu", description="Device of the reference engine."
+    )
+
+    @model_validator(mode="after")
+    def _validation_for_early_stopping(self) -> "Training":
+        if self.early_stopping and not (
+            self.held_out.validation_share
+            or (self.held_out.source == "fresh" and self.held_out.at_least)
+        ):
+            raise ValueError("early_stopping needs held_out.validation_share above 0")
+        return self
+
+
+class DoubleRectangle(Section):
+    """Two axis-parallel rectangles at a low and a high height (paper, Figs. 4 and 5)."""
+
+    shape: Literal["double_rectangle"]
+    lower_mm: tuple[float, float] = Field((30.0, 30.0), description="Lower x and y [mm].")
+    upper_mm: tuple[float, float] = Field((70.0, 70.0), description="Upper x and y [mm].")
+    heights_mm: tuple[float, float] = Field((10.0, 50.0), description="The two heights z [mm].")
+    waypoints: int = Field(240, ge=8, le=100_000, description="Points along both rectangles.")
+
+
+class Heart(Section):
+    """A heart in a plane that leans about the x axis (paper, Fig. 2)."""
+
+    shape: Literal["heart"]
+    centre_mm: Vector3 = Field((50.0, 50.0, 30.0), description="Centre of the heart [mm].")
+    width_mm: float = Field(44.0, gt=0, description="Width along x [mm].")
+    tilt_rad: float = Field(
+        0.6, ge=-3.1416, le=3.1416, description="Lean of the plane about the x axis [rad]."
+    )
+    waypoints: int = Field(200, ge=8, le=100_000, description="Points along the heart.")
+
+
+Path3D = Annotated[DoubleRectangle | Heart, Field(discriminator="shape")]
+
+
+class Evaluation(Section):
+    """Where the error is measured, always through the forward kinematics."""
+
+    paths: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")], Path3D] = Field(
+        {
+            "rectangles": DoubleRectangle(shape="double_rectangle"),
+            "heart": Heart(shape="heart"),
+        },
+        min_length=1,
+        description="Paths to track, by name; the first one fills Table 1.",
+    )
+    cube_points: int = Field(
+        8192,
+        ge=64,
+        le=1_000_000,
+        description="Points spread over the whole workspace, the same for every grid.",
+    )
+
+
+class Bounds(Section):
+    """How the paper's estimate (Eq. 25) is formed."""
+
+    average_weight: Literal["mean", "mean_abs", "rms", "max_abs"] = Field(
+        "mean", description="Which average of the trained weights stands for w-bar in Eq. 22."
+    )
+    scale_mm: float | None = Field(
+        None,
+        gt=0,
+        description="Length that turns the estimate into millimetres [mm]; null: the longest side "
+        "of the workspace, which is what the paper's column implies.",
+    )
+
+
+class Tracking(Section):
+    """Where MLflow keeps the runs."""
+
+    uri: str | None = Field(
+        None,
+        description="Tracking URI; null: MLFLOW_TRACKING_URI, else sqlite:///mlflow.db here.",
+    )
+
+
+class Study(Section):
+    """A study: one arm, one workspace, several sample sizes, many seeds."""
+
+    name: str = Field(
+        pattern=r"^[a-z0-9][a-z0-9_-]*$",
+        max_length=60,
+        description="Name of the study's folders under results/ and reports/.",
+    )
+    title: str = Field("", description="One line for the head of the report.")
+    robot: Robot = Robot()
+    workspace: Workspace = Workspace()
+    samples: Samples = Samples()
+    network: Network = Network()
+    training: Training = Training()
+    evaluation: Evaluation = Evaluation()
+    bounds: Bounds = Bounds()
+    tracking: Tracking = Tracking()
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seed of every network."""
+        return tuple(
+            range(self.training.first_seed, self.training.first_seed + self.training.seeds)
+        )
+
+    def digest(self) -> str:
+        """Twelve hexadecimal digits that name the settings (defaults filled in)."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def parse_study(settings: dict[str, Any], origin: str = "study") -> Study:
+    """Validates settings as read from a study file.
+
+    Args:
+        settings: The file's content.
+        origin: What the messages call the file.
+
+    Raises:
+        IksamplesError: One line for each thing that is wrong: the key, the value and what is
+            allowed there.
+    """
+    try:
+        return Study.model_validate(settings)
+    except ValidationError as error:
+        lines = [f"{origin}: {_describe(item)}" for item in error.errors()]
+        raise IksamplesError("\n".join(lines)) from None
+
+
+def read_study(path: str | Path) -> Study:
+    """Reads a study file (YAML or JSON).
+
+    Raises:
+        IksamplesError: The file cannot be read or does not describe a study.
+    """
+    try:
+        settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise IksamplesError(f"{path}: cannot read the study file ({error.strerror}).") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise IksamplesError(f"{path}: not a YAML file ({reason}).") from None
+    if not isinstance(settings, dict):
+        raise IksamplesError(f"{path}: expected a mapping of settings, found nothing of the kind.")
+    return parse_study(settings, str(path))
+
+
+def _describe(item: Any) -> str:
+    """One validation error as a line for people."""
+    # A tagged union puts its tag into the location; the user never wrote it as a key.
+    location = [str(part) for part in item["loc"] if part not in ("double_rectangle", "heart")]
+    key = ".".join(location) or "study"
+    if item["type"] == "extra_forbidden":
+        allowed = _keys_at(location[:-1])
+        hint = f"; known keys here: {', '.join(allowed)}" if allowed else ""
+        return f"unknown key '{key}'{hint}."
+    if item["type"] == "missing":
+        return f"'{key}' is missing."
+    message = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    shown = json.dumps(item["input"], default=str)
+    shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+    return f"'{key}' {message} (found {shown})."
+
+
+def _keys_at(location: list[str]) -> list[str]:
+    """The keys that the section at a location of the study file may have."""
+    model: Any = Study
+    for part in location:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is None:
+            return []
+        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        model = next((c for c in candidates if hasattr(c, "model_fields")), None)
+    return list(getattr(model, "model_fields", {}))

@@ -1,0 +1,109 @@
+"""The trained networks as plain arrays: what every later step reads, without torch."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+Floats = NDArray[np.float64]
+Weights = NDArray[np.float32]
+
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
+    "relu": lambda x: np.maximum(x, 0.0),
+    "tanh": np.tanh,
+}
+"""Activation name -> function on arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class StackedMLP:
+    """Networks of one shape that differ by seed, stacked along a leading axis.
+
+    A position is normalised, ``(x - offset_mm) / scale_mm``, and sent through dense layers with an
+    activation between them; the last layer is linear and gives joint values (paper, Eq. 9 and 10).
+
+    Attributes:
+        weights: One array per layer, shape (seeds, in, out).
+        biases: One array per layer, shape (seeds, out).
+        activation: Key of ``ACTIVATIONS``.
+        offset_mm: What the normalisation subtracts [mm], shape (in,).
+        scale_mm: What the normalisation divides by [mm], shape (in,).
+        seeds: The seed of each stacked network.
+    """
+
+    weights: tuple[Weights, ...]
+    biases: tuple[Weights, ...]
+    activation: str
+    offset_mm: Floats
+    scale_mm: Floats
+    seeds: tuple[int, ...]
+
+    @property
+    def n_seeds(self) -> int:
+        """Number of stacked networks."""
+        return len(self.seeds)
+
+    def predict(self, positions_mm: ArrayLike) -> Floats:
+        """Joint values that the networks answer with, evaluated in float64.
+
+        Args:
+            positions_mm: Positions [mm], shape (points, in).
+
+        Returns:
+            Joint values [rad or mm], shape (seeds, points, joints).
+        """
+        hidden = (np.asarray(positions_mm, float) - self.offset_mm) / self.scale_mm
+        for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight.astype(float) + bias.astype(float)[:, None, :]
+            if depth < len(self.weights) - 1:
+                hidden = ACTIVATIONS[self.activation](hidden)
+        return hidden
+
+    def select(self, rows: ArrayLike) -> "StackedMLP":
+        """The networks in the given rows of the stack, in that order."""
+        index = np.atleast_1d(np.asarray(rows, int))
+        return replace(
+            self,
+            weights=tuple(weight[index] for weight in self.weights),
+            biases=tuple(bias[index] for bias in self.biases),
+            seeds=tuple(self.seeds[i] for i in index),
+        )
+
+    def save(self, path: str | Path, **extra: Any) -> None:
+        """Writes the stack as a safetensors file, which runs no code when it is loaded.
+
+        Args:
+            path: The file.
+            **extra: Further metadata, JSON-serialisable.
+        """
+        from safetensors.numpy import save_file
+
+        tensors = {"offset_mm": self.offset_mm, "scale_mm": self.scale_mm}
+        for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(weight)
+            tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
+        header = {"activation": self.activation, "seeds": list(self.seeds), **extra}
+        save_file(tensors, str(path), {key: json.dumps(value) for key, value in header.items()})
+
+    @classmethod
+    def load(cls, path: str | Path) -> "StackedMLP":
+        """Reads what ``save`` wrote."""
+        from safetensors import safe_open
+
+        with safe_open(str(path), framework="numpy") as file:
+            header = {key: json.loads(value) for key, value in file.metadata().items()}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        depths = range(sum(key.endswith(".weight") for key in tensors))
+        return cls(
+            tuple(tensors[f"layers.{depth}.weight"] for depth in depths),
+            tuple(tensors[f"layers.{depth}.bias"] for depth in depths),
+            header["activation"],
+            tensors["offset_mm"],
+            tensors["scale_mm"],
+            tuple(header["seeds"]),
+        )
