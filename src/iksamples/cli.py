@@ -59,15 +59,6 @@ def check(study_file: StudyFile) -> None:
 
 
 @app.command()
-def prepare(study_file: StudyFile, output: Output) -> None:
-    """Write the validated study with every default filled in, once its arm can do it."""
-    study, chain = _open(study_file)
-    _require_feasible(study, chain)
-    with _whole(output) as file:
-        file.write_text(study.model_dump_json(indent=2) + "\n", encoding="utf-8")
-
-
-@app.command()
 def samples(
     study_file: StudyFile,
     points_per_axis: Annotated[
@@ -79,8 +70,34 @@ def samples(
     from iksamples.samples.dataset import grid_samples
 
     study, chain = _open(study_file)
+    # All of the study, not only this grid: whatever cannot be done is known before training.
+    _require_feasible(study, chain)
     with _whole(output) as file:
         grid_samples(study, chain, points_per_axis).save(file)
+
+
+@app.command()
+def train(
+    study_file: StudyFile,
+    samples_files: Annotated[
+        list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file per grid.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder that gets a folder for each grid.")
+    ],
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Folder of trained seeds; a seed that is there is not trained again."),
+    ] = None,
+) -> None:
+    """Train all seeds on each set of samples."""
+    from iksamples.samples.dataset import SampleSet
+    from iksamples.study import read_study
+    from iksamples.training.run import train as train_all
+
+    sets = [SampleSet.load(file) for file in samples_files]
+    outputs = [output / samples.label for samples in sets]
+    train_all(read_study(study_file), sets, outputs, cache, progress=True)
 
 
 @app.command()

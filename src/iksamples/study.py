@@ -311,15 +311,15 @@ def read_study(path: str | Path) -> Study:
     return parse_study(settings, str(path))
 
 
+_SHAPES: dict[str, type[Section]] = {"double_rectangle": DoubleRectangle, "heart": Heart}
+
+
 def _describe(item: Any) -> str:
     """One validation error as a line for people."""
-    # A tagged union puts its tag into the location; the user never wrote it as a key.
-    location = [str(part) for part in item["loc"] if part not in ("double_rectangle", "heart")]
-    key = ".".join(location) or "study"
+    # A path's shape stands in the location of an error, though the user never wrote it as a key.
+    key = ".".join(str(part) for part in item["loc"] if part not in _SHAPES) or "study"
     if item["type"] == "extra_forbidden":
-        allowed = _keys_at(location[:-1])
-        hint = f"; known keys here: {', '.join(allowed)}" if allowed else ""
-        return f"unknown key '{key}'{hint}."
+        return f"unknown key '{key}'; known keys here: {', '.join(_keys_at(item['loc'][:-1]))}."
     if item["type"] == "missing":
         return f"'{key}' is missing."
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -328,13 +328,14 @@ def _describe(item: Any) -> str:
     return f"'{key}' {message} (found {shown})."
 
 
-def _keys_at(location: list[str]) -> list[str]:
+def _keys_at(location: tuple[Any, ...]) -> list[str]:
     """The keys that the section at a location of the study file may have."""
-    model: Any = Study
+    section: Any = Study
     for part in location:
-        field = getattr(model, "model_fields", {}).get(part)
-        if field is None:
-            return []
-        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        model = next((c for c in candidates if hasattr(c, "model_fields")), None)
-    return list(getattr(model, "model_fields", {}))
+        if part in _SHAPES:
+            section = _SHAPES[part]
+        elif part in section.model_fields:
+            annotation = section.model_fields[part].annotation
+            candidates = (annotation, *getattr(annotation, "__args__", ()))
+            section = next((c for c in candidates if hasattr(c, "model_fields")), section)
+    return list(section.model_fields)

@@ -1,6 +1,7 @@
 """Initial weights: the same for every engine, and for a seed whatever other seeds are trained."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ def initial_weights(
         Kernels, one per layer, shape (seeds, in, out), and biases, shape (seeds, out).
     """
     kernels, biases = [], []
-    for layer, (fan_in, fan_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for layer, (fan_in, fan_out) in enumerate(pairwise(sizes)):
         limit = np.float32(np.sqrt(6.0 / (fan_in + fan_out)))
         kernel = np.empty((len(seeds), fan_in, fan_out), np.float32)
         for row, seed in enumerate(seeds):

@@ -1,0 +1,126 @@
+"""Trained seeds kept by content, so that only what is new is trained.
+
+A folder per key, and in it one file with the seeds that are wanted (more only while a long training
+is under way). The key is a digest of all that the numbers depend on, except the seed.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study
+from iksamples.training.record import Record
+
+
+# What a study may change without changing what any one seed learns.
+_IRRELEVANT = {"seeds", "first_seed", "engine"}
+
+
+def cache_key(study: Study, samples: SampleSet, engine: str) -> str:
+    """The name of a training without its seed."""
+    parts = {
+        "samples": samples.digest(),
+        "network": study.network.model_dump(mode="json"),
+        "training": study.training.model_dump(mode="json", exclude=_IRRELEVANT),
+        "engine": engine,
+        "sources": source_digest(),
+        "versions": {name: version(name) for name in ("torch", "numpy", "numba")},
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def source_digest() -> str:
+    """Twelve hexadecimal digits of this package's source code."""
+    content = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        content.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return content.hexdigest()[:12]
+
+
+class Cache:
+    """A folder of trained seeds; without a folder it keeps nothing."""
+
+    def __init__(self, folder: Path | None) -> None:
+        """Takes the folder, which need not exist yet."""
+        self.folder = folder
+
+    def load(self, key: str, seeds: Collection[int]) -> list[Record]:
+        """What is there of the given seeds; a file that cannot be read counts as absent."""
+        from safetensors import SafetensorError
+
+        found, missing = [], set(seeds)
+        for path in self._files(key):
+            try:
+                record = Record.load(path)
+            except (OSError, SafetensorError, TypeError):
+                continue
+            usable = [int(seed) for seed in record.seeds if int(seed) in missing]
+            missing.difference_update(usable)
+            if usable:
+                found.append(record.select(usable))
+        return found
+
+    def add(self, key: str, record: Record) -> None:
+        """Keeps a record beside what is there."""
+        if self.folder is not None:
+            (self.folder / key).mkdir(parents=True, exist_ok=True)
+            write_whole(self._path(key, record), record.save)
+
+    def settle(self, key: str, record: Record) -> None:
+        """Keeps a record instead of what is there."""
+        if self.folder is None:
+            return
+        path = self._path(key, record)
+        if not path.exists():
+            self.add(key, record)
+        for other in self._files(key):
+            if other != path:
+                other.unlink(missing_ok=True)
+
+    def prune(self, keys: Collection[str]) -> None:
+        """Removes every training that is not among the keys."""
+        if self.folder is not None and self.folder.is_dir():
+            for entry in self.folder.iterdir():
+                if entry.is_dir() and entry.name not in keys:
+                    shutil.rmtree(entry, ignore_errors=True)
+
+    def _files(self, key: str) -> Sequence[Path]:
+        return sorted((self.folder / key).glob("*.safetensors")) if self.folder else []
+
+    def _path(self, key: str, record: Record) -> Path:
+        assert self.folder is not None
+        seeds = np.sort(record.seeds)
+        digest = hashlib.sha256(seeds.tobytes()).hexdigest()[:8]
+        return self.folder / key / f"seeds-{seeds[0]}-{seeds[-1]}-{digest}.safetensors"
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Writes a file so that it appears complete or not at all.
+
+    Args:
+        path: The file.
+        write: Called with the path of a temporary file beside it.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        write(temporary)
+        # Some writers leave a file that only its owner may read.
+        temporary.chmod(0o666 & ~_umask())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,134 @@
+"""The four files a training leaves in its folder; every later step reads these."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from iksamples.samples.dataset import SampleSet
+from iksamples.training.cache import write_whole
+from iksamples.training.network import StackedMLP
+from iksamples.training.problem import Problem
+from iksamples.training.record import METRICS, Record, unstack
+
+
+_SEEDS_AT_ONCE = 64
+
+
+def write_files(folder: Path, problem: Problem, samples: SampleSet, record: Record) -> None:
+    """Writes weights, snapshots, history and members of trained seeds, each file whole or not.
+
+    Args:
+        folder: Made if it is not there.
+        problem: What was trained.
+        samples: The samples it was posed on.
+        record: The trained seeds, in the problem's order.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    network = final_network(problem, samples, record)
+    write_whole(folder / "weights.safetensors", network.save)
+    write_whole(
+        folder / "snapshots.safetensors", lambda path: _save_snapshots(path, network, record)
+    )
+    write_whole(folder / "history.parquet", lambda path: _save_table(path, _history(record)))
+    members = _members(problem, samples, record, network)
+    write_whole(folder / "members.parquet", lambda path: _save_table(path, members))
+
+
+def final_network(problem: Problem, samples: SampleSet, record: Record) -> StackedMLP:
+    """The networks a training ended with."""
+    return StackedMLP(
+        *unstack(record.parameters, problem.sizes),
+        problem.activation,
+        samples.offset_mm,
+        samples.scale_mm,
+        problem.seeds,
+    )
+
+
+def _save_snapshots(path: Path, network: StackedMLP, record: Record) -> None:
+    from safetensors.numpy import save_file
+
+    sizes = [weight.shape[1] for weight in network.weights] + [network.biases[-1].shape[1]]
+    kernels, biases = unstack(record.snapshots, sizes)
+    tensors: dict[str, np.ndarray] = {
+        "epochs": record.snapshot_epochs,
+        "offset_mm": network.offset_mm,
+        "scale_mm": network.scale_mm,
+    }
+    for depth, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
+        tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(kernel)
+        tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
+    header = {"activation": network.activation, "seeds": list(network.seeds)}
+    save_file(tensors, path, {key: json.dumps(value) for key, value in header.items()})
+
+
+def _history(record: Record) -> dict[str, np.ndarray]:
+    """A row per seed and epoch that was run."""
+    epochs = record.history.shape[1]
+    run = epochs_run(record)
+    was_run = np.arange(1, epochs + 1) <= run[:, None]
+    seed, epoch = np.nonzero(was_run)
+    columns: dict[str, np.ndarray] = {"seed": record.seeds[seed], "epoch": epoch + 1}
+    return columns | {
+        name: values.T[was_run] for name, values in zip(METRICS, record.history, strict=True)
+    }
+
+
+def epochs_run(record: Record) -> np.ndarray:
+    """Epochs each seed was trained for."""
+    return np.where(record.stopped > 0, record.stopped, record.history.shape[1])
+
+
+def _members(
+    problem: Problem, samples: SampleSet, record: Record, network: StackedMLP
+) -> dict[str, np.ndarray]:
+    """A row per seed; the losses are those of the final weights over all points of a kind."""
+    n, run = problem.n_seeds, epochs_run(record)
+    losses = _losses(problem, samples, network)
+    steps = np.arange(record.history.shape[1]) < run[:, None]
+    train_history = np.where(steps, record.history[0].T, 0)
+    finite = (
+        np.isfinite(record.parameters).all(axis=1)
+        & np.isfinite(train_history).all(axis=1)
+        & np.isfinite(losses["train_loss_rad2"])
+    )
+    return {
+        "seed": record.seeds,
+        "n_trained": np.full(n, problem.n_train),
+        "n_validation": np.full(n, problem.validation_rows.shape[1]),
+        "n_test": np.full(n, problem.test_rows.shape[1]),
+        "epochs_run": run,
+        "best_epoch": np.where(record.best_epoch > 0, record.best_epoch, run),
+        "steps": run * problem.steps_per_epoch,
+        "diverged": ~finite,
+        **losses,
+    }
+
+
+def _losses(problem: Problem, samples: SampleSet, network: StackedMLP) -> dict[str, np.ndarray]:
+    """Mean squared error over each seed's points of each kind [rad^2]; NaN without points."""
+    positions = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+    joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
+    kinds = {
+        "train": problem.train_rows,
+        "validation": problem.validation_rows,
+        "test": problem.test_rows,
+    }
+    losses = {f"{kind}_loss_rad2": np.full(problem.n_seeds, np.nan) for kind in kinds}
+    for first in range(0, problem.n_seeds, _SEEDS_AT_ONCE):
+        some = np.arange(first, min(first + _SEEDS_AT_ONCE, problem.n_seeds))
+        with np.errstate(all="ignore"):  # a diverged seed is a row with NaN, not an error
+            square = np.mean((network.select(some).predict(positions) - joints) ** 2, axis=-1)
+            for kind, rows in kinds.items():
+                if rows.shape[1]:
+                    chosen = np.take_along_axis(square, rows[some].astype(np.intp), axis=1)
+                    losses[f"{kind}_loss_rad2"][some] = chosen.mean(axis=1)
+    return losses
+
+
+def _save_table(path: Path, columns: dict[str, np.ndarray]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table(columns), path)

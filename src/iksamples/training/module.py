@@ -1,0 +1,162 @@
+"""The Lightning module that trains all seeds of one sample set, and the call that fits it."""
+
+import logging
+import warnings
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.core.optimizer import LightningOptimizer
+from torch import Tensor, nn
+
+from iksamples.training import record
+from iksamples.training.data import EPOCHS_PER_BLOCK, Block, EpochBlocks
+from iksamples.training.initial import initial_weights
+from iksamples.training.problem import Problem
+from iksamples.training.progress import Progress
+from iksamples.training.reference import ReferenceEngine, StackedAdam, forward, layers
+
+
+class Engine(Protocol):
+    """A training loop."""
+
+    def run(
+        self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
+    ) -> None:
+        """Trains a block of epochs; see ``ReferenceEngine.run``."""
+
+
+class EpochBar(pl.Callback):
+    """Moves a progress bar by the epochs of each block, counted for every seed."""
+
+    def __init__(self, bar: Any, n_seeds: int) -> None:
+        """Takes the bar and the number of seeds that train together."""
+        self.bar = bar
+        self.n_seeds = n_seeds
+
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, module: Any, outputs: Any, batch: Block, batch_idx: int
+    ) -> None:
+        """A block has ended."""
+        self.bar.update(batch[1] * self.n_seeds)
+
+
+class StackedTraining(pl.LightningModule):
+    """Many seeds of one network as one stack; a training step is a block of epochs.
+
+    Attributes:
+        problem: What is trained.
+        flat: Parameters of all seeds, shape (seeds, parameters).
+        progress: History, snapshots and early stopping, per seed.
+        engine: The loop that does the work.
+    """
+
+    def __init__(self, problem: Problem, engine: Engine) -> None:
+        """Sets the networks to their initial weights."""
+        super().__init__()
+        self.automatic_optimization = False
+        self.save_hyperparameters(
+            {
+                "sizes": list(problem.sizes),
+                "activation": problem.activation,
+                "seeds": list(problem.seeds),
+                **problem.training.model_dump(mode="json"),
+            }
+        )
+        self.problem = problem
+        self.engine = engine
+        start = record.stack(*initial_weights(problem.sizes, problem.seeds))
+        self.flat = nn.Parameter(torch.from_numpy(start))
+        self.progress = Progress(problem, self.flat.detach())
+
+    def configure_optimizers(self) -> StackedAdam:
+        """Adam on the flat parameters."""
+        return StackedAdam(self.flat, self.problem.training.learning_rate)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Joint values, shape (seeds, points, joints), for inputs of shape (points, in)."""
+        stack = list(layers(self.flat, self.problem.sizes))
+        return forward(stack, self.problem.activation, x.expand(len(self.flat), *x.shape))
+
+    def training_step(self, batch: Block, batch_idx: int) -> None:
+        """Trains a block of epochs and logs the means over the seeds at its end."""
+        first, n_epochs = batch
+        optimizer = self.optimizers()
+        assert isinstance(optimizer, LightningOptimizer)
+        # Lightning's wrapper counts the blocks; the engine needs Adam itself.
+        adam = optimizer.optimizer
+        assert isinstance(adam, StackedAdam)
+        optimizer.step(
+            lambda: self.engine.run(self.flat.detach(), adam, self.progress, first, n_epochs)
+        )
+        last = self.progress.history[:, first + n_epochs - 2]
+        for name, row in zip(record.METRICS[:2], last, strict=False):
+            self.log(name.removesuffix("_rad2"), torch.nanmean(row))
+        if self.progress.patience and self.progress.all_stopped():
+            self.trainer.should_stop = True
+
+    def result(self) -> record.Record:
+        """What the training has left behind."""
+
+        def array(tensor: Tensor) -> Any:
+            return tensor.detach().cpu().numpy().copy()
+
+        progress = self.progress
+        return record.Record(
+            np.array(self.problem.seeds, np.int64),
+            array(progress.final(self.flat.detach())),
+            array(progress.history),
+            array(progress.snapshot_epochs),
+            array(progress.snapshots),
+            array(progress.best_epoch),
+            array(progress.stopped),
+        )
+
+
+def fit(
+    problem: Problem,
+    engine: Engine | None = None,
+    callbacks: Sequence[pl.Callback] = (),
+    epochs_per_block: int = EPOCHS_PER_BLOCK,
+    resume_from: str | None = None,
+    **trainer_options: Any,
+) -> record.Record:
+    """Trains the seeds of a problem under a Lightning trainer.
+
+    Args:
+        problem: What is trained.
+        engine: The training loop; the reference engine if None.
+        callbacks: Further Lightning callbacks (checkpoints, progress, ...).
+        epochs_per_block: Epochs per training step of Lightning; the result does not depend on it.
+        resume_from: A Lightning checkpoint of the same problem, from the end of a block.
+        **trainer_options: Passed to ``Trainer`` (logger, enable_checkpointing, ...).
+
+    Returns:
+        The trained seeds.
+    """
+    module = StackedTraining(problem, engine or ReferenceEngine(problem))
+    data = EpochBlocks(problem, epochs_per_block)
+    logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
+    options = {
+        "accelerator": problem.training.accelerator,
+        "devices": 1,
+        "logger": False,
+        "enable_checkpointing": False,
+        "enable_progress_bar": False,
+        "enable_model_summary": False,
+        "num_sanity_val_steps": 0,
+        "log_every_n_steps": 1,
+        "use_distributed_sampler": False,
+    }
+    with warnings.catch_warnings():
+        # Lightning's own use of a name that torch has deprecated.
+        warnings.filterwarnings("ignore", ".*LeafSpec.*is deprecated.*")
+        # The loader hands over two integers: workers would only cost.
+        warnings.filterwarnings("ignore", ".*does not have many workers.*")
+        trainer = pl.Trainer(
+            max_epochs=len(data.blocks), callbacks=list(callbacks), **(options | trainer_options)
+        )
+        trainer.fit(module, data, ckpt_path=resume_from)
+    return module.result()

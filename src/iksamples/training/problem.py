@@ -1,0 +1,136 @@
+"""What is to be trained: the numbers every engine works on, and which seed learns from which."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import HeldOut, Study, Training
+from iksamples.training.shuffle import HELD_OUT_EPOCH, permutations
+
+
+Singles = NDArray[np.float32]
+Index = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Networks of one shape, one per seed, and the points they learn from.
+
+    All points are in one table; a seed's training, validation and test points are rows of it.
+
+    Attributes:
+        seeds: One seed per network.
+        sizes: Neurons of each layer, from the inputs to the outputs.
+        activation: Activation of the hidden layers.
+        inputs: Normalised positions, shape (points, in).
+        targets: Joint values [rad or mm], shape (points, out).
+        train_rows: Rows a seed learns from, shape (seeds, n_train).
+        validation_rows: Rows of its validation loss, shape (seeds, n_validation).
+        test_rows: Rows of its test loss, shape (seeds, n_test).
+        training: The study's training settings.
+    """
+
+    seeds: tuple[int, ...]
+    sizes: tuple[int, ...]
+    activation: str
+    inputs: Singles
+    targets: Singles
+    train_rows: Index
+    validation_rows: Index
+    test_rows: Index
+    training: Training
+
+    @property
+    def n_seeds(self) -> int:
+        """Number of networks."""
+        return len(self.seeds)
+
+    @property
+    def n_train(self) -> int:
+        """Number of samples that each network learns from."""
+        return self.train_rows.shape[1]
+
+    @property
+    def n_parameters(self) -> int:
+        """Weights and biases of one network."""
+        return sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Optimiser steps of an epoch; the last mini-batch may be smaller than the others."""
+        return -(-self.n_train // self.training.batch_size)
+
+
+def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Problem:
+    """The problem that a study sets for some seeds on one set of samples."""
+    n, n_validation, n_test = (
+        len(part) for part in (samples.positions_mm, samples.validation_mm, samples.test_mm)
+    )
+    positions = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+    joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
+    if study.training.held_out.source == "grid":
+        train, validation, test = split_grid(seeds, n, study.training.held_out)
+    else:
+        rows = np.arange(n + n_validation + n_test, dtype=np.int32)
+        stacked = np.broadcast_to(rows, (len(seeds), len(rows)))
+        train, validation, test = np.split(stacked, [n, n + n_validation], axis=1)
+    return Problem(
+        tuple(seeds),
+        (positions.shape[1], *study.network.hidden, joints.shape[1]),
+        study.network.activation,
+        samples.normalise(positions).astype(np.float32),
+        joints.astype(np.float32),
+        train,
+        validation,
+        test,
+        study.training,
+    )
+
+
+def held_out_counts(n: int, held_out: HeldOut) -> tuple[int, int]:
+    """How many of ``n`` grid nodes a seed loses to validation and to test.
+
+    Each share is rounded to the nearest whole number (halves up), so 5 % of 8 samples are none and
+    5 % of 27 are one. At least one node is left to train on.
+    """
+    n_validation = min(int(held_out.validation_share * n + 0.5), n - 1)
+    n_test = min(int(held_out.test_share * n + 0.5), n - 1 - n_validation)
+    return n_validation, n_test
+
+
+def split_grid(seeds: Sequence[int], n: int, held_out: HeldOut) -> tuple[Index, Index, Index]:
+    """Takes validation and test points from the grid's nodes, for each seed by itself.
+
+    Returns:
+        Rows to train on, to validate on and to test on, each in ascending order, shape (seeds, ..).
+    """
+    order = permutations(seeds, [HELD_OUT_EPOCH], n)[:, 0]
+    n_validation, n_test = held_out_counts(n, held_out)
+    validation, test, train = np.split(order, [n_validation, n_validation + n_test], axis=1)
+    return np.sort(train), np.sort(validation), np.sort(test)
+
+
+def snapshot_epochs(epochs: int, count: int) -> NDArray[np.int64]:
+    """Epochs whose weights are kept: 0 (before training), then evenly on a log scale, to the last.
+
+    Args:
+        epochs: Last epoch.
+        count: How many are wanted, at least 2; fewer are given when there are not enough epochs.
+
+    Returns:
+        Ascending epochs.
+    """
+    if epochs < count:
+        return np.arange(epochs + 1)
+    chosen = np.array([epochs])
+    # Early epochs coincide after rounding, so more points are laid than are wanted.
+    for laid in range(count - 1, 50 * count):
+        spread = np.unique(np.rint(np.geomspace(1, epochs, laid)).astype(np.int64))
+        if len(spread) > count - 1:
+            break
+        chosen = spread
+    return np.concatenate([[0], chosen[:-1], [epochs]])

@@ -1,0 +1,175 @@
+"""The reference engine: stacked networks by automatic differentiation in torch.
+
+A leading axis runs over the seeds and the losses are summed over it, so each seed gets its own
+gradient. Any activation, depth and device; the fused engine is held against this one.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+
+# By default MKL rounds a matrix product by where in memory it lies, and in a stack that depends on
+# the number of seeds. MKL reads this once, at the process's first matrix product.
+os.environ.setdefault("MKL_CBWR", "AVX2,STRICT")
+
+import torch
+from torch import Tensor, nn
+
+from iksamples.training.problem import Problem
+from iksamples.training.progress import Progress
+from iksamples.training.shuffle import permutations
+
+
+# torch.sigmoid, gelu and elu round an element differently when it lies behind the last full vector
+# of its array, so a seed's result would depend on its neighbours. The functions used here do not.
+ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+    "relu": torch.relu,
+    "tanh": torch.tanh,
+    "sigmoid": lambda x: 0.5 * torch.tanh(0.5 * x) + 0.5,
+    "gelu": lambda x: 0.5 * x * (1 + torch.erf(x * 0.5**0.5)),
+    "elu": lambda x: torch.where(x > 0, x, torch.expm1(x.clamp(max=0))),
+}
+
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-7
+"""Adam's constants, those of Keras."""
+
+
+class StackedAdam(torch.optim.Optimizer):
+    """Adam (Kingma and Ba, 2015, Algorithm 1) on the flat parameters of all seeds.
+
+    For Lightning one step is a block of epochs: ``step`` calls the closure that trains the block,
+    and the closure calls ``update`` once for every mini-batch. Moments live in the optimiser's
+    state, where a checkpoint finds them.
+    """
+
+    def __init__(self, flat: nn.Parameter, learning_rate: float) -> None:
+        """Starts with zero moments.
+
+        Args:
+            flat: Parameters, shape (seeds, parameters).
+            learning_rate: Step size.
+        """
+        super().__init__([flat], {"lr": learning_rate})
+        self.flat = flat
+        self.state[flat] = {"mean": torch.zeros_like(flat), "square": torch.zeros_like(flat)}
+
+    def step(self, closure: Callable[[], Any] | None = None) -> Any:
+        """Trains a block of epochs."""
+        return closure() if closure else None
+
+    @torch.no_grad()
+    def update(self, gradient: Tensor, step: int) -> None:
+        """One update of every seed.
+
+        Args:
+            gradient: Shape (seeds, parameters).
+            step: Number of the update, counted from 1.
+        """
+        mean, square = self.state[self.flat]["mean"], self.state[self.flat]["square"]
+        mean.mul_(BETA_1).add_(gradient, alpha=1 - BETA_1)
+        square.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
+        root = (1 - BETA_2**step) ** 0.5
+        rate = self.param_groups[0]["lr"] / (1 - BETA_1**step)
+        self.flat.addcdiv_(mean, (square.sqrt() / root).add_(EPSILON), value=-rate)
+
+
+def layers(flat: Tensor, sizes: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
+    """Views of flat parameters as kernels and biases, layer by layer.
+
+    Args:
+        flat: Shape (seeds, parameters): kernel (row by row), bias, next kernel, and so on.
+        sizes: Neurons of each layer.
+
+    Yields:
+        Kernel, shape (seeds, in, out), and bias, shape (seeds, out).
+    """
+    at = 0
+    for fan_in, fan_out in pairwise(sizes):
+        kernel = flat[:, at : at + fan_in * fan_out].unflatten(1, (fan_in, fan_out))
+        at += fan_in * fan_out
+        yield kernel, flat[:, at : at + fan_out]
+        at += fan_out
+
+
+def forward(stack: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor) -> Tensor:
+    """Outputs of the stacked networks, shape (seeds, points, out), for (seeds, points, in)."""
+    for depth, (kernel, bias) in enumerate(stack):
+        x = torch.baddbmm(bias[:, None, :], x, kernel)
+        if depth < len(stack) - 1:
+            x = ACTIVATIONS[activation](x)
+    return x
+
+
+def seed_losses(
+    stack: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor, y: Tensor
+) -> Tensor:
+    """Mean squared error of each seed over points and joints [rad^2], shape (seeds,)."""
+    return (forward(stack, activation, x) - y).square().mean(dim=(1, 2))
+
+
+class ReferenceEngine:
+    """Trains blocks of epochs by automatic differentiation."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Takes the problem whose seeds it trains."""
+        self.problem = problem
+
+    def run(
+        self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
+    ) -> None:
+        """Trains from epoch ``first`` (counted from 1) for ``n_epochs`` epochs.
+
+        Args:
+            flat: Parameters, changed in place, shape (seeds, parameters).
+            adam: Their optimiser.
+            progress: The record that each epoch is entered into.
+            first: First epoch.
+            n_epochs: Number of epochs.
+        """
+        problem, device = self.problem, flat.device
+        inputs, targets = (
+            torch.from_numpy(table).to(device) for table in (problem.inputs, problem.targets)
+        )
+        train_rows, validation_rows = (
+            torch.tensor(rows, dtype=torch.int64, device=device)
+            for rows in (problem.train_rows, problem.validation_rows)
+        )
+        x_check, y_check = inputs[validation_rows], targets[validation_rows]
+        flat = flat.detach()
+        # The leaves are views of the flat parameters, which are updated in place.
+        stack = list(layers(flat, problem.sizes))
+        leaves = [leaf.requires_grad_() for layer in stack for leaf in layer]
+        size = problem.training.batch_size
+        for epoch in range(first, first + n_epochs):
+            order = torch.from_numpy(permutations(problem.seeds, [epoch], problem.n_train)[:, 0])
+            rows = train_rows.gather(1, order.to(device, torch.int64))
+            x, y = inputs[rows], targets[rows]
+            total = torch.zeros(problem.n_seeds, dtype=torch.float64, device=device)
+            for batch in range(problem.steps_per_epoch):
+                chosen = slice(batch * size, (batch + 1) * size)
+                losses = seed_losses(stack, problem.activation, x[:, chosen], y[:, chosen])
+                slopes = torch.autograd.grad(losses.sum(), leaves)
+                gradient = torch.cat([slope.flatten(1) for slope in slopes], dim=1)
+                adam.update(gradient, (epoch - 1) * problem.steps_per_epoch + batch + 1)
+                total += losses.detach().double() * x[:, chosen].shape[1]
+            with torch.no_grad():
+                metrics = [
+                    (total / problem.n_train).float(),
+                    seed_losses(stack, problem.activation, x_check, y_check),
+                    *kernel_statistics(stack),
+                ]
+                progress.end_epoch(epoch, torch.stack(metrics), flat)
+            if progress.patience and progress.all_stopped():
+                return
+
+
+def kernel_statistics(stack: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean, mean absolute and largest absolute kernel entry of each seed (biases left out)."""
+    entries = torch.cat([kernel.detach().flatten(1) for kernel, _ in stack], dim=1).double()
+    return (
+        entries.mean(1).float(),
+        entries.abs().mean(1).float(),
+        entries.abs().amax(1).float(),
+    )

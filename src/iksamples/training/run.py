@@ -1,0 +1,99 @@
+"""The training step: all seeds of every grid, and the files it leaves."""
+
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study
+from iksamples.training.cache import Cache, cache_key
+from iksamples.training.files import write_files
+from iksamples.training.problem import pose_problem
+from iksamples.training.record import Record
+
+
+SEEDS_AT_ONCE = 1024
+"""Seeds stacked in one fit; a longer list is trained in parts, each kept as soon as it is done."""
+
+
+def train(
+    study: Study,
+    sample_sets: Sequence[SampleSet],
+    outputs: Sequence[Path],
+    cache: Path | None = None,
+    progress: bool = False,
+) -> None:
+    """Trains the study's seeds on each sample set and writes the results.
+
+    Each output folder gets ``weights.safetensors``, ``snapshots.safetensors``, ``history.parquet``
+    and ``members.parquet``. A seed that the cache holds is not trained again; what a seed learns is
+    the same to the last bit with and without the cache, alone and among others. At the end the
+    cache holds what this call has used and nothing else.
+
+    Args:
+        study: The study.
+        sample_sets: The samples, one set per grid.
+        outputs: The folder of each set.
+        cache: Folder of trained seeds; None: keep none.
+        progress: Report on stderr: a bar in a terminal, else a line per set.
+    """
+    engine = choose_engine(study)
+    store = Cache(cache)
+    keys = [cache_key(study, samples, engine) for samples in sample_sets]
+    found = [store.load(key, study.seeds) for key in keys]
+    missing = []
+    for records in found:
+        known = {int(seed) for record in records for seed in record.seeds}
+        missing.append([seed for seed in study.seeds if seed not in known])
+
+    bar = _bar(study.training.epochs * sum(map(len, missing)), progress)
+    with bar or nullcontext():
+        for samples, folder, key, records, seeds in zip(
+            sample_sets, outputs, keys, found, missing, strict=True
+        ):
+            start = time.perf_counter()
+            for first in range(0, len(seeds), SEEDS_AT_ONCE):
+                part = seeds[first : first + SEEDS_AT_ONCE]
+                if bar:
+                    bar.set_description(samples.label)
+                record = _fit(study, samples, part, engine, bar)
+                store.add(key, record)
+                records.append(record)
+            whole = Record.join(records).select(study.seeds)
+            store.settle(key, whole)
+            write_files(folder, pose_problem(study, samples, study.seeds), samples, whole)
+            if progress and not bar:
+                took = f"{time.perf_counter() - start:.1f} s" if seeds else "nothing new"
+                old = len(study.seeds) - len(seeds)
+                kept = f" ({old} from the cache)" if old else ""
+                print(
+                    f"{samples.label}: {samples.n_samples} samples, {len(study.seeds)} seeds{kept},"
+                    f" {study.training.epochs} epochs, {took}",
+                    file=sys.stderr,
+                )
+    store.prune(keys)
+
+
+def choose_engine(study: Study) -> str:
+    """The engine that trains a study: "fused" or "reference"."""
+    return "reference"
+
+
+def _fit(study: Study, samples: SampleSet, seeds: Sequence[int], engine: str, bar: Any) -> Record:
+    """Trains some seeds; here, not above, torch and Lightning are imported."""
+    from iksamples.training.module import EpochBar, fit
+
+    problem = pose_problem(study, samples, seeds)
+    return fit(problem, callbacks=[EpochBar(bar, len(seeds))] if bar else [])
+
+
+def _bar(total: int, progress: bool) -> Any:
+    """A bar of epochs, where there is a terminal to draw it on and something to do."""
+    if not (progress and total and sys.stderr.isatty()):
+        return None
+    from tqdm import tqdm
+
+    return tqdm(total=total, unit=" epochs", unit_scale=True)

@@ -1,0 +1,44 @@
+"""Shared fixtures: one small study, run once."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from iksamples.robot.chain import SerialChain
+from iksamples.robot.workspace import study_chain
+from iksamples.study import Study, parse_study
+
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _in_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Study files name their robot relative to the project's root."""
+    monkeypatch.chdir(ROOT)
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """A generator of the test's own, the same in every run."""
+    return np.random.default_rng(list(request.node.name.encode()))
+
+
+@pytest.fixture
+def study() -> Study:
+    """The paper's study."""
+    return parse_study({"name": "paper"})
+
+
+@pytest.fixture
+def chain(study: Study) -> SerialChain:
+    """The paper's arm."""
+    return study_chain(study)
+
+
+@pytest.fixture(scope="session")
+def command() -> str:
+    """The installed command line."""
+    return str(Path(sys.executable).with_name("iksamples"))

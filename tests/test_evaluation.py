@@ -1,0 +1,94 @@
+"""Errors measured through the forward kinematics."""
+
+import numpy as np
+import pytest
+
+from iksamples.errors import IksamplesError
+from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
+from iksamples.evaluation.paths import require_reachable, waypoints_mm
+from iksamples.samples.dataset import region_points
+from iksamples.study import DoubleRectangle, Heart, parse_study
+from iksamples.training.network import StackedMLP
+
+
+def constant_network(joints, seeds=(0,)):
+    """A network that answers the same joint values everywhere."""
+    n = len(seeds)
+    return StackedMLP(
+        (np.zeros((n, 3, 4), np.float32), np.zeros((n, 4, 3), np.float32)),
+        (np.zeros((n, 4), np.float32), np.broadcast_to(np.float32(joints), (n, 3)).copy()),
+        "relu",
+        np.zeros(3),
+        np.ones(3),
+        tuple(seeds),
+    )
+
+
+def test_rectangles_run_around_both_heights():
+    points = waypoints_mm(DoubleRectangle(shape="double_rectangle", waypoints=82))
+    low, high = points[:41], points[41:]
+    for half, height in ((low, 10), (high, 50)):
+        assert set(half[:, 2]) == {height}
+        np.testing.assert_array_equal(half[0], half[-1])
+        steps = np.linalg.norm(np.diff(half, axis=0), axis=1)
+        np.testing.assert_allclose(steps, 160 / 40)
+        for corner in ((30, 30), (70, 30), (70, 70), (30, 70)):
+            assert np.abs(half[:, :2] - corner).sum(axis=1).min() < 1e-9
+
+
+def test_heart_closes_has_its_width_and_lies_in_its_plane():
+    heart = Heart(shape="heart", centre_mm=(50, 50, 30), width_mm=40, tilt_rad=0.6)
+    points = waypoints_mm(heart)
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-9)
+    assert np.ptp(points[:, 0]) == pytest.approx(40, rel=1e-3)
+    normal = np.array([0, -np.sin(0.6), np.cos(0.6)])
+    np.testing.assert_allclose((points - [50, 50, 30]) @ normal, 0, atol=1e-9)
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    np.testing.assert_allclose(middle, [50, 50, 30], atol=1e-6)
+
+
+def test_default_paths_lie_in_the_cube(study, chain):
+    require_reachable(study, chain)
+    for path in study.evaluation.paths.values():
+        points = waypoints_mm(path)
+        assert (points > study.workspace.lower_mm).all()
+        assert (points < study.workspace.upper_mm).all()
+
+
+def test_a_path_out_of_reach_is_named(chain):
+    study = parse_study(
+        {"name": "x", "evaluation": {"paths": {"far": {"shape": "heart", "width_mm": 400}}}}
+    )
+    with pytest.raises(IksamplesError, match=r"evaluation\.paths\.far: .* cannot be used"):
+        require_reachable(study, chain)
+
+
+def test_error_is_the_distance_through_the_forward_kinematics(chain):
+    pose = np.radians([90, -90, -90])  # the tool is at (0, 70, 0)
+    result = send(constant_network(pose), chain, np.array([[0, 70, 0], [3, 74, 0], [0, 70, 12.0]]))
+    np.testing.assert_allclose(result.error_mm, [[0, 5, 12]], atol=1e-5)
+
+
+def test_summary_is_over_points_within_a_seed(study, chain):
+    study = study.model_copy(
+        update={"evaluation": study.evaluation.model_copy(update={"cube_points": 64})}
+    )
+    network = constant_network(np.radians([45, -60, -90]), seeds=(7, 3))
+    waypoints, cube = track_paths(study, chain, network), cube_errors(study, chain, network)
+    table = summarise(waypoints, cube).set_index(["region", "seed"])
+    assert set(table.index) == {(r, s) for r in ("rectangles", "heart", "cube") for s in (3, 7)}
+    reached = chain.forward_mm(network.predict(np.zeros((1, 3)))[0, 0])
+    for region, points in (
+        ("heart", waypoints_mm(study.evaluation.paths["heart"])),
+        ("cube", region_points(study, chain, 64)),
+    ):
+        error = np.linalg.norm(points - reached, axis=1)
+        row = table.loc[(region, 3)]
+        assert row["error_mean_mm"] == pytest.approx(error.mean(), rel=1e-6)
+        assert row["error_p95_mm"] == pytest.approx(np.percentile(error, 95), rel=1e-6)
+        assert row["error_max_mm"] == pytest.approx(error.max(), rel=1e-6)
+    one = waypoints.query("path == 'heart' and seed == 7")
+    assert len(one) == study.evaluation.paths["heart"].waypoints
+    reached_mm = one[["reached_x_mm", "reached_y_mm", "reached_z_mm"]].to_numpy()
+    joints = one[["q_yaw_rad", "q_shoulder_rad", "q_elbow_rad"]].to_numpy()
+    np.testing.assert_allclose(chain.forward_mm(joints), reached_mm, atol=1e-9)

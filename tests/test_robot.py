@@ -1,0 +1,181 @@
+"""The arm against closed forms, a URDF library and finite differences."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from iksamples.errors import IksamplesError
+from iksamples.robot.chain import load_urdf
+from iksamples.robot.closed_form import yaw_pitch_pitch
+from iksamples.robot.workspace import reach
+from iksamples.samples.designs import full_grid
+from iksamples.study import parse_study
+
+
+ARM = "config/robots/rrr70.urdf"
+
+WRIST = """<?xml version="1.0"?>
+<robot name="wrist">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
+  <joint name="j1" type="revolute"><parent link="a"/><child link="b"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.7 1.1"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="j2" type="prismatic"><parent link="b"/><child link="c"/>
+    <origin xyz="0 0.05 0.2" rpy="1.2 0 -0.4"/><axis xyz="1 0 0"/>
+    <limit lower="-0.1" upper="0.3" effort="1" velocity="1"/></joint>
+  <joint name="held" type="fixed"><parent link="c"/><child link="d"/>
+    <origin xyz="0.02 0 0.1" rpy="0 0.5 0"/></joint>
+  <joint name="j3" type="continuous"><parent link="d"/><child link="e"/>
+    <origin xyz="0 0 0.15"/><axis xyz="0 0.6 0.8"/></joint>
+  <joint name="tool" type="fixed"><parent link="e"/><child link="f"/>
+    <origin xyz="0.07 0.01 0.09" rpy="0 0 1"/></joint>
+</robot>
+"""
+
+
+def drawn_by_hand(q1, q2, q3):
+    """The formula in the head of the URDF, written out."""
+    r = -70 * (np.sin(q2) + np.sin(q2 + q3))
+    z = 70 + 70 * (np.cos(q2) + np.cos(q2 + q3))
+    return np.stack([r * np.cos(q1), r * np.sin(q1), z], axis=-1)
+
+
+def test_forward_kinematics_is_the_documented_formula(chain, rng):
+    q = rng.uniform(chain.lower, chain.upper, (500, 3))
+    np.testing.assert_allclose(chain.forward_mm(q), drawn_by_hand(*q.T), atol=1e-12)
+
+
+def test_drawing_pose_puts_the_pen_on_the_table(chain):
+    pose = np.radians([90, -90, -90])
+    np.testing.assert_allclose(chain.forward_mm(pose), [0, 70, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        chain.skeleton_mm(pose), [[0, 0, 0], [0, 0, 70], [0, 70, 70], [0, 70, 0]], atol=1e-12
+    )
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("urdf", "tip"), [(None, "tcp"), (WRIST, "f")])
+def test_forward_kinematics_agrees_with_pytorch_kinematics(urdf, tip, tmp_path, rng):
+    torch = pytest.importorskip("torch")
+    library = pytest.importorskip("pytorch_kinematics")
+    path = ARM
+    if urdf:
+        path = tmp_path / "arm.urdf"
+        path.write_text(urdf)
+    ours = load_urdf(path)
+    theirs = library.build_serial_chain_from_urdf(Path(path).read_bytes(), tip).to(
+        dtype=torch.float64
+    )
+    low = np.maximum(ours.lower, -np.pi)
+    q = rng.uniform(low, ours.upper, (50, ours.n_joints))
+    metres = np.where(np.array(ours.joint_kinds) == "prismatic", q / 1000, q)
+    expected = theirs.forward_kinematics(torch.tensor(metres)).get_matrix()[:, :3, 3].numpy()
+    np.testing.assert_allclose(ours.forward_mm(q), 1000 * expected, atol=1e-4)
+    jacobian = theirs.jacobian(torch.tensor(metres))[:, :3].numpy()
+    scale = np.where(np.array(ours.joint_kinds) == "prismatic", 1, 1000)
+    np.testing.assert_allclose(ours.jacobian_mm(q), jacobian * scale, atol=1e-4)
+
+
+def test_jacobian_is_the_derivative(tmp_path, rng):
+    (tmp_path / "wrist.urdf").write_text(WRIST)
+    wrist = load_urdf(tmp_path / "wrist.urdf")
+    q = rng.uniform(-1, 1, (20, 3))
+    step = 1e-6
+    for i, unit in enumerate(np.eye(3)):
+        difference = (wrist.forward_mm(q + step * unit) - wrist.forward_mm(q - step * unit)) / (
+            2 * step
+        )
+        np.testing.assert_allclose(wrist.jacobian_mm(q)[..., i], difference, atol=1e-6)
+
+
+@given(
+    q1=st.floats(0, np.pi), q2=st.floats(-np.pi, 0), q3=st.floats(-3.1, -0.04),
+)  # fmt: skip
+def test_inverse_undoes_forward_on_its_branch(q1, q2, q3):
+    chain = load_urdf(ARM)
+    position = drawn_by_hand(q1, q2, q3)
+    solution = yaw_pitch_pitch(chain, position[None], "negative")
+    assert solution.reachable[0]
+    np.testing.assert_allclose(chain.forward_mm(solution.joints[0]), position, atol=1e-7)
+    if -70 * (np.sin(q2) + np.sin(q2 + q3)) > 1e-3:  # it reaches forward: the same joints again
+        np.testing.assert_allclose(solution.joints[0], [q1, q2, q3], atol=1e-6)
+
+
+@given(
+    x=st.floats(-100, 100), y=st.floats(-100, 100), z=st.floats(-30, 170),
+)  # fmt: skip
+def test_both_branches_reach_what_is_in_reach_and_say_what_is_not(x, y, z):
+    chain = load_urdf(ARM)
+    distance = np.sqrt(x**2 + y**2 + (z - 70) ** 2)
+    for elbow, sign in (("negative", -1), ("positive", 1)):
+        solution = yaw_pitch_pitch(chain, [[x, y, z]], elbow)
+        if abs(distance - 140) > 1e-6:
+            assert solution.reachable[0] == (distance < 140)
+        if solution.reachable[0]:
+            np.testing.assert_allclose(chain.forward_mm(solution.joints[0]), [x, y, z], atol=1e-5)
+            assert sign * solution.joints[0, 2] >= 0
+        else:
+            assert np.isnan(solution.joints[0]).all()
+
+
+def test_inverse_refuses_an_arm_it_does_not_fit(tmp_path):
+    (tmp_path / "wrist.urdf").write_text(WRIST)
+    with pytest.raises(IksamplesError, match="yaw-pitch-pitch"):
+        yaw_pitch_pitch(load_urdf(tmp_path / "wrist.urdf"), [[1, 2, 3]], "negative")
+
+
+def test_the_stated_corner_is_beyond_any_70_70_arm(study, chain):
+    answer = reach(study, chain, [[100, 100, 70]])
+    assert answer.summary()["out_of_reach"] == 1
+    assert "(100, 100, 70) mm is out of reach" in answer.why_not(0, chain)
+
+
+def test_default_cube_does_not_fit_the_stated_joint_ranges():
+    third = np.pi / 3
+    stated = {"yaw": (third, 2 * third), "shoulder": (-2 * third, -third),
+              "elbow": (-2 * third, -third)}  # fmt: skip
+    study = parse_study({"name": "stated", "robot": {"limits_rad": stated}})
+    chain = load_urdf(study.robot.urdf).with_limits(study.robot.limits_rad)
+    corners = full_grid((20, 20, 0), (80, 80, 60), 2)
+    answer = reach(study, chain, corners)
+    assert answer.in_reach.all()
+    assert answer.in_limits.sum() == 1
+    assert "needs yaw = 0.785 rad, outside its limits [1.047, 2.094]" in answer.why_not(0, chain)
+
+
+def test_stretched_arm_is_singular(study, chain):
+    outstretched = chain.forward_mm([np.pi / 4, -np.pi / 2, 0.0])
+    answer = reach(study, chain, outstretched)
+    assert answer.singular[0]
+    assert not reach(study, chain, [[50, 50, 30]]).singular[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("not xml", "not a valid URDF"),
+        ("<robot name='r'><link name='a'/></robot>", "no moving joint"),
+        (WRIST.replace('type="continuous"', 'type="floating"'), "'j3' is floating"),
+        (WRIST.replace("</robot>", "<link name='g'/><joint name='x' type='fixed'>"
+         "<parent link='a'/><child link='g'/></joint></robot>"), "2 end links"),
+    ],
+)  # fmt: skip
+def test_bad_urdf_is_explained(text, message, tmp_path):
+    path = tmp_path / "bad.urdf"
+    path.write_text(text)
+    with pytest.raises(IksamplesError, match=message):
+        load_urdf(path)
+
+
+def test_missing_file_link_and_joint_are_explained(chain):
+    with pytest.raises(IksamplesError, match="cannot read"):
+        load_urdf("nowhere.urdf")
+    with pytest.raises(IksamplesError, match="no link 'hand'; the links are base, column"):
+        load_urdf(ARM, tip_link="hand")
+    with pytest.raises(IksamplesError, match="does not hang"):
+        load_urdf(ARM, base_link="forearm", tip_link="column")
+    with pytest.raises(IksamplesError, match="no joint 'wrist'"):
+        chain.with_limits({"wrist": (0, 1)})

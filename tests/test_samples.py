@@ -1,0 +1,107 @@
+"""Samples: where they lie, what they say, and that they survive the disk."""
+
+import numpy as np
+import pytest
+
+from iksamples.errors import IksamplesError
+from iksamples.samples.dataset import SampleSet, grid_samples, region_points
+from iksamples.samples.designs import (
+    fill_distance_mm,
+    full_grid,
+    grid_fill_distance_mm,
+    grid_spacing_mm,
+)
+from iksamples.study import parse_study
+
+
+@pytest.mark.parametrize(("m", "spacing_mm"), [(4, 20.0), (5, 15.0)])
+def test_spacings_are_those_the_paper_states(study, chain, m, spacing_mm):
+    samples = grid_samples(study, chain, m)
+    assert samples.n_samples == m**3
+    assert samples.spacing_mm == spacing_mm
+    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.positions_mm, atol=1e-9)
+    inputs = samples.normalise(samples.positions_mm)
+    assert inputs.min() == 0
+    assert inputs.max() == 1
+    assert samples.n_masked == 0
+
+
+def test_fill_distance_of_a_grid_is_half_a_cells_diagonal():
+    box = (0, 0, 0), (60, 30, 15)
+    grid = full_grid(*box, 4)
+    dense = full_grid(*box, 31)
+    exact = grid_fill_distance_mm(*box, 4)
+    assert exact == pytest.approx(np.sqrt(20**2 + 10**2 + 5**2) / 2)
+    # Cell centres are among the dense points, so the estimate attains the exact value.
+    assert fill_distance_mm(grid, dense) == pytest.approx(exact)
+    assert grid_spacing_mm(*box, 4) == 20
+
+
+def test_saved_samples_come_back_the_same(study, chain, tmp_path):
+    samples = grid_samples(study, chain, 3)
+    samples.save(tmp_path / "grid3.parquet")
+    again = SampleSet.load(tmp_path / "grid3.parquet")
+    assert again.digest() == samples.digest()
+    for name, value in vars(samples).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def test_fresh_points_are_counted_and_off_the_grid(study, chain):
+    counts = {m: len(grid_samples(study, chain, m).validation_mm) for m in (2, 5, 8)}
+    assert counts == {2: 16, 5: 16, 8: 26}  # at least 16, else 5 % of n rounded up
+    samples = grid_samples(study, chain, 5)
+    apart = np.linalg.norm(samples.validation_mm[:, None] - samples.positions_mm, axis=-1)
+    assert apart.min() > 0
+    assert not np.array_equal(samples.validation_mm, samples.test_mm)
+    np.testing.assert_allclose(
+        chain.forward_mm(samples.validation_joints), samples.validation_mm, atol=1e-9
+    )
+
+
+def test_points_held_out_of_the_grid_leave_no_fresh_ones(chain):
+    study = parse_study({"name": "x", "training": {"held_out": {"source": "grid"}}})
+    assert len(grid_samples(study, chain, 3).validation_mm) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"), [("unit", 0, 1), ("symmetric", -1, 1), ("none", 0, 80)]
+)
+def test_normalisation(chain, kind, low, high):
+    study = parse_study({"name": "x", "samples": {"normalisation": kind}})
+    samples = grid_samples(study, chain, 3)
+    inputs = samples.normalise(samples.positions_mm)
+    assert (inputs.min(), inputs.max()) == (low, high)
+
+
+STATED_BOX = {"lower_mm": [20, 20, -10], "upper_mm": [100, 100, 60]}
+
+
+def test_unreachable_grid_point_is_named(chain):
+    study = parse_study({"name": "x", "workspace": STATED_BOX})
+    with pytest.raises(IksamplesError, match=r"5 of 27 points.*\(60, 100, -10\) mm is out of"):
+        grid_samples(study, chain, 3)
+
+
+def test_masked_points_are_counted_never_moved(chain):
+    study = parse_study({"name": "x", "workspace": STATED_BOX, "samples": {"unreachable": "mask"}})
+    samples = grid_samples(study, chain, 3)
+    assert (samples.n_samples, samples.n_masked) == (22, 5)
+    grid = {tuple(point) for point in full_grid(STATED_BOX["lower_mm"], STATED_BOX["upper_mm"], 3)}
+    assert {tuple(point) for point in samples.positions_mm} < grid
+    points = region_points(study, chain, 512)
+    assert len(points) < 520
+    assert np.linalg.norm(points - [0, 0, 70], axis=1).max() < 140
+
+
+def test_region_points_are_the_same_every_time_and_hold_the_corners(study, chain):
+    points = region_points(study, chain, 100)
+    np.testing.assert_array_equal(points, region_points(study, chain, 100))
+    corners = {tuple(corner) for corner in full_grid((20, 20, 0), (80, 80, 60), 2)}
+    assert corners <= {tuple(point) for point in points}
+    assert len(points) == 108
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    (tmp_path / "x.parquet").write_text("no parquet")
+    with pytest.raises(IksamplesError, match="not a file of samples"):
+        SampleSet.load(tmp_path / "x.parquet")

@@ -1,0 +1,56 @@
+"""Digests of source files, by which an edit re-runs the steps it affects."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from iksamples import sources
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A copy of the digest module in a package of its own, with four modules around it."""
+    folder = tmp_path / "toy"
+    (folder / "deep").mkdir(parents=True)
+    text = Path(sources.__file__).read_text()
+    (folder / "sources.py").write_text(text)
+    (folder / "__init__.py").write_text("")
+    (folder / "deep" / "__init__.py").write_text("")
+    (folder / "deep" / "data.csv").write_text("a\n1\n")
+    (folder / "base.py").write_text("x = 1\n")
+    (folder / "deep" / "step.py").write_text("import os\ndef f():\n    from toy.base import x\n")
+    (folder / "other.py").write_text("y = 2\n")
+    return folder
+
+
+def digests(package):
+    code = "from toy.sources import source_digest as d; print(d('toy.deep.step'), d('toy.other'))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=package.parent, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_an_edit_changes_the_digests_of_what_imports_it_and_no_others(package):
+    step, other = digests(package)
+    assert digests(package) == [step, other]
+    (package / "base.py").write_text("x = 2\n")
+    assert digests(package)[0] != step
+    assert digests(package)[1] == other
+
+
+def test_data_beside_a_package_counts(package):
+    step, other = digests(package)
+    (package / "deep" / "data.csv").write_text("a\n2\n")
+    assert digests(package)[0] != step
+    assert digests(package)[1] == other
+
+
+def test_evaluation_does_not_depend_on_the_report():
+    found = set()
+    sources._collect_with_parents("iksamples.evaluation.errors", found)
+    names = {path.parent.name for path in found}
+    assert {"robot", "samples", "evaluation", "training"} <= names
+    assert not names & {"report", "tracking", "recording", "bounds", "sizing"}

@@ -1,0 +1,31 @@
+"""
+Recordings: the arm drawing each path, for the Rerun viewer.
+
+REQUIRED INPUTS
+    results/<study>/samples/, results/<study>/network/grid<m>/{weights,snapshots,waypoints}
+OUTPUTS
+    results/<study>/recordings/<path>.rrd
+"""
+
+
+rule record:
+    """Record one path with all grids in it."""
+    input:
+        urdf=STUDY.robot.urdf,
+        waypoints=expand(
+            "results/{{study}}/network/{samples}/waypoints.parquet", samples=LABELS
+        ),
+    output:
+        "results/{study}/recordings/{path}.rrd",
+    log:
+        "results/{study}/logs/record/{path}.log",
+    benchmark:
+        "results/{study}/benchmarks/record/{path}.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings("title", "robot", "workspace", "evaluation", "training"),
+        code=source_digest("iksamples.recording.record"),
+        results="results/{study}",
+    shell:
+        "iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}"
+        " --output {output:q} 2> {log:q}"

@@ -1,0 +1,32 @@
+"""
+Report: one page that opens offline, and a Markdown twin for the repository.
+
+REQUIRED INPUTS
+    results/<study>/table.csv and everything in results/<study>/network/
+OUTPUTS
+    reports/<study>/index.html, README.md and figures/
+"""
+
+
+rule report:
+    """Build the report."""
+    input:
+        urdf=STUDY.robot.urdf,
+        table="results/{study}/table.csv",
+    output:
+        html=report("reports/{study}/index.html", category="Report"),
+        markdown="reports/{study}/README.md",
+        figures=directory("reports/{study}/figures"),
+    log:
+        "results/{study}/logs/report.log",
+    benchmark:
+        "results/{study}/benchmarks/report.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=STUDY.model_dump_json(),
+        code=source_digest("iksamples.report"),
+        results="results/{study}",
+        folder=subpath(output.html, parent=True),
+    shell:
+        "iksamples report {params.study:q} --results {params.results:q}"
+        " --output {params.folder:q} 2> {log:q}"

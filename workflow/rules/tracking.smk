@@ -1,0 +1,27 @@
+"""
+Tracking: one job writes all runs to MLflow, since parallel writers race on a new SQLite file.
+
+REQUIRED INPUTS
+    results/<study>/table.csv and everything in results/<study>/network/
+OUTPUTS
+    results/<study>/tracking.json (what was logged), and the runs themselves
+"""
+
+
+rule track:
+    """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
+    input:
+        table="results/{study}/table.csv",
+    output:
+        "results/{study}/tracking.json",
+    log:
+        "results/{study}/logs/track.log",
+    benchmark:
+        "results/{study}/benchmarks/track.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=STUDY.model_dump_json(),
+        code=source_digest("iksamples.tracking"),
+        results="results/{study}",
+    shell:
+        "iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> {log:q}"
