@@ -157,6 +157,37 @@ def table(study_file: StudyFile, results: Results, output: Output) -> None:
         study_table(study, cells(study, results)).to_csv(file, index=False)
 
 
+@app.command()
+def record(
+    study_file: StudyFile,
+    path: Annotated[str, typer.Option(help="Which of the study's paths.")],
+    results: Results,
+    output: Output,
+) -> None:
+    """Record the arm drawing one path, all grids in one file for the Rerun viewer."""
+    from iksamples.recording.record import record_path
+    from iksamples.results import cells
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    with _whole(output) as file:
+        record_path(study, path, cells(study, results), file)
+
+
+@app.command()
+def handbook(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")] = Path(
+        "config"
+    ),
+) -> None:
+    """Write README.md and schema.json: every setting of a study file, every column of its table."""
+    from iksamples.handbook import schema, settings_page
+
+    for name, text in (("README.md", settings_page()), ("schema.json", schema())):
+        with _whole(output / name) as file:
+            file.write_text(text, encoding="utf-8")
+
+
 def _open(study_file: Path) -> "tuple[Study, SerialChain]":
     from iksamples.robot.workspace import study_chain
     from iksamples.study import read_study

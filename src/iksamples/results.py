@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
+from iksamples.study import NETWORK, Study
 from iksamples.training.network import StackedMLP
 
 
 if TYPE_CHECKING:
     import pandas as pd
-
-NETWORK = "network"
-"""The method that a study's ``network`` and ``training`` sections describe."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,10 @@ Vector3 = tuple[float, float, float]
 Limits = tuple[float, float]
 
 
+NETWORK = "network"
+"""Name of the method that a study's own ``network`` and ``training`` sections describe."""
+
+
 class Section(BaseModel):
     """A part of the study file; an unknown key is an error, and nothing changes once read."""
 
@@ -149,6 +153,13 @@ class Training(Section):
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Step size of the optimiser.")
     batch_size: int = Field(8, ge=1, le=1_000_000, description="Samples per optimiser step.")
     epochs: int = Field(500, ge=1, le=1_000_000, description="Passes over the samples, at most.")
+    steps: int | None = Field(
+        None,
+        ge=1,
+        le=100_000_000,
+        description="Optimiser steps, the same for every number of samples; null: count epochs. "
+        "Replaces `epochs`, which gives 8 samples 500 steps and 512 samples 32 000.",
+    )
     early_stopping: EarlyStopping | None = Field(
         None, description="Stop a seed when its validation loss stalls; null: never."
     )
@@ -177,10 +188,30 @@ class Training(Section):
         return self
 
 
+MethodKind = Literal[
+    "network", "multilinear", "cubic", "polynomial", "rbf", "gaussian-process", "analytic"
+]
+
+
+class Method(Section):
+    """A way from samples to joint angles, compared with the study's own network."""
+
+    kind: MethodKind = Field(
+        "network",
+        description="A network, an interpolation of the same samples, or the exact inverse.",
+    )
+    network: Network = Field(
+        Network(), description="What differs from the study's `network` (kind: network)."
+    )
+    training: Training = Field(
+        Training(), description="What differs from the study's `training` (kind: network)."
+    )
+
+
 class DoubleRectangle(Section):
     """Two axis-parallel rectangles at a low and a high height (paper, Figs. 4 and 5)."""
 
-    shape: Literal["double_rectangle"]
+    shape: Literal["double_rectangle"] = Field(description="Kind of path.")
     lower_mm: tuple[float, float] = Field((30.0, 30.0), description="Lower x and y [mm].")
     upper_mm: tuple[float, float] = Field((70.0, 70.0), description="Upper x and y [mm].")
     heights_mm: tuple[float, float] = Field((10.0, 50.0), description="The two heights z [mm].")
@@ -190,7 +221,7 @@ class DoubleRectangle(Section):
 class Heart(Section):
     """A heart in a plane that leans about the x axis (paper, Fig. 2)."""
 
-    shape: Literal["heart"]
+    shape: Literal["heart"] = Field(description="Kind of path.")
     centre_mm: Vector3 = Field((50.0, 50.0, 30.0), description="Centre of the heart [mm].")
     width_mm: float = Field(44.0, gt=0, description="Width along x [mm].")
     tilt_rad: float = Field(
@@ -235,6 +266,29 @@ class Bounds(Section):
     )
 
 
+class Tolerance(Section):
+    """What is good enough: the question that the study answers."""
+
+    error_mm: float = Field(2.0, gt=0, description="Largest position error allowed [mm].")
+    of: Literal["worst", "p99", "p95", "mean"] = Field(
+        "worst",
+        description="Which error: the certified worst case over the workspace, a percentile, or "
+        "the mean.",
+    )
+    where: str = Field(
+        "workspace", description="`workspace`, or the name of a path (there the worst is measured)."
+    )
+    success_share: float = Field(
+        0.8, gt=0, lt=1, description="Share of trainings that must meet the tolerance."
+    )
+    confidence: float = Field(
+        0.95, gt=0.5, lt=1, description="Confidence in that share, given the seeds trained."
+    )
+    best_of: int = Field(
+        1, ge=1, le=1000, description="Trainings of which the best is used; 1: any one must do."
+    )
+
+
 class Tracking(Section):
     """Where MLflow keeps the runs."""
 
@@ -258,9 +312,55 @@ class Study(Section):
     samples: Samples = Samples()
     network: Network = Network()
     training: Training = Training()
+    methods: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")], Method] = Field(
+        {}, description="Further methods to compare on the same samples, by name."
+    )
     evaluation: Evaluation = Evaluation()
     bounds: Bounds = Bounds()
+    tolerance: Tolerance = Tolerance()
     tracking: Tracking = Tracking()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _methods_inherit(cls, data: Any) -> Any:
+        """A method says only what differs from the study's own network and training."""
+        methods = data.get("methods") if isinstance(data, dict) else None
+        if not isinstance(methods, dict):
+            return data
+        own = {key: data[key] for key in ("network", "training") if key in data}
+        full = {name: _overlay(own, method) for name, method in methods.items()}
+        return {**data, "methods": full}
+
+    @model_validator(mode="after")
+    def _names_exist(self) -> "Study":
+        if NETWORK in self.methods:
+            raise ValueError(
+                f"methods: '{NETWORK}' is the study's own network; choose another name"
+            )
+        places = ("workspace", *self.evaluation.paths)
+        if self.tolerance.where not in places:
+            raise ValueError(f"'tolerance.where' should be one of {', '.join(places)}")
+        return self
+
+    @property
+    def all_methods(self) -> dict[str, Method]:
+        """Every method by name; the first, ``network``, is the study's own."""
+        own = Method(kind="network", network=self.network, training=self.training)
+        return {NETWORK: own, **self.methods}
+
+    def for_method(self, name: str, n_samples: int) -> "Study":
+        """The study as if a method's network and training were its own.
+
+        Args:
+            name: The method.
+            n_samples: Samples that train; a budget in steps is turned into epochs by it.
+        """
+        method = self.all_methods[name]
+        training = method.training
+        if training.steps:
+            epochs = -(-training.steps // -(-n_samples // training.batch_size))
+            training = training.model_copy(update={"steps": None, "epochs": epochs})
+        return self.model_copy(update={"network": method.network, "training": training})
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -311,6 +411,13 @@ def read_study(path: str | Path) -> Study:
     return parse_study(settings, str(path))
 
 
+def _overlay(base: Any, change: Any) -> Any:
+    """Settings with some of them replaced, section by section."""
+    if not isinstance(base, dict) or not isinstance(change, dict):
+        return change
+    return {**base, **{key: _overlay(base.get(key), value) for key, value in change.items()}}
+
+
 _SHAPES: dict[str, type[Section]] = {"double_rectangle": DoubleRectangle, "heart": Heart}
 
 
@@ -323,6 +430,8 @@ def _describe(item: Any) -> str:
     if item["type"] == "missing":
         return f"'{key}' is missing."
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    if not item["loc"]:  # a rule between sections, which names its keys itself
+        return f"{message}."
     shown = json.dumps(item["input"], default=str)
     shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
     return f"'{key}' {message} (found {shown})."

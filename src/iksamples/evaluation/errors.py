@@ -97,14 +97,14 @@ def cube_errors(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.Da
 
 
 def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame":
-    """Mean, 95th percentile and maximum of the error, a row for each region and seed.
+    """Mean, 95th and 99th percentile and maximum of the error, a row for each region and seed.
 
     Args:
         waypoints: What ``track_paths`` returned.
         cube: What ``cube_errors`` returned.
 
     Returns:
-        Columns region, seed, error_mean_mm, error_p95_mm, error_max_mm.
+        Columns region, seed, error_mean_mm, error_p95_mm, error_p99_mm, error_max_mm.
     """
     import pandas as pd
 
@@ -119,6 +119,7 @@ def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame"
         {
             "error_mean_mm": grouped.mean(),
             "error_p95_mm": grouped.quantile(0.95),
+            "error_p99_mm": grouped.quantile(0.99),
             "error_max_mm": grouped.max(),
         }
     ).reset_index()

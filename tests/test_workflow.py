@@ -1,0 +1,211 @@
+"""The whole workflow on a small study, as a user runs it, and what happens when things change."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from iksamples.columns import TABLE
+from iksamples.evaluation.errors import send
+from iksamples.evaluation.paths import waypoints_mm
+from iksamples.results import cells
+from iksamples.robot.workspace import study_chain
+from iksamples.study import read_study
+
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[1]
+TINY = "tests/studies/tiny.yaml"
+
+
+def snakemake(folder, *arguments, check=True, **environment):
+    """Runs Snakemake in a folder, as typed there."""
+    done = subprocess.run(
+        [str(Path(sys.executable).with_name("snakemake")), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+        | environment,
+    )
+    if check and done.returncode:
+        raise AssertionError(done.stdout + done.stderr)
+    return done
+
+
+def project_copy(folder):
+    """What a run needs of the project, in a folder of its own."""
+    for name in ("Snakefile", "workflow", "profiles", "config", TINY):
+        source, target = ROOT / name, folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
+    return folder
+
+
+def planned(folder, *arguments):
+    """Names of the rules a dry run would run."""
+    out = snakemake(folder, "-n", "--cores", "2", *arguments).stdout
+    if "Nothing to be done" in out:
+        return set()
+    rows = out.split("Job stats:")[1].split("total")[0].splitlines()
+    return {row.split()[0] for row in rows[3:] if row.strip()} - {"all"}
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A finished small study."""
+    folder = project_copy(tmp_path_factory.mktemp("project"))
+    done = snakemake(folder, "--cores", "2", "--configfile", TINY)
+    (folder / "last-lines.txt").write_text(done.stdout + done.stderr)
+    return folder
+
+
+def test_it_ends_by_saying_where_the_results_are(project):
+    text = (project / "last-lines.txt").read_text()
+    assert "(100%) done" in text
+    for place in (
+        "reports/tiny/index.html",
+        "results/tiny/table.csv",
+        "rerun results/tiny/recordings/heart.rrd",
+        "mlflow ui",
+    ):
+        assert place in text
+
+
+def test_table_has_the_documented_columns_and_agrees_with_the_weights(project, monkeypatch):
+    table = pd.read_csv(project / "results/tiny/table.csv")
+    assert list(table.columns) == list(TABLE)
+    assert list(table["n_samples"]) == [8, 27]
+    assert list(table["paper_error_mm"]) == [19.31, 5.31]
+    study = read_study(project / "results/tiny/study.json")
+    chain = study_chain(study)
+    path = waypoints_mm(study.evaluation.paths["rectangles"])
+    for row, cell in zip(table.itertuples(), cells(study, project / "results/tiny"), strict=True):
+        means = send(cell.network, chain, path).error_mm.mean(axis=1)
+        assert row.error_mean_mm == pytest.approx(means.mean())
+        assert row.error_sd_mm == pytest.approx(means.std(ddof=1))
+        assert row.error_over_spacing == pytest.approx(
+            means.mean() / (60 / (row.samples_per_axis - 1))
+        )
+
+
+def test_a_finished_study_has_nothing_to_be_done(project):
+    done = snakemake(project, "-n", "--cores", "2", "--configfile", TINY)
+    assert "Nothing to be done" in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "rules"),
+    [
+        ("evaluation={'cube_points': 300}", {"evaluate", "bounds", "table"}),
+        ("bounds={'average_weight': 'rms'}", {"bounds", "table"}),
+        ("training={'seeds': 4}", {"train", "evaluate", "bounds", "table"}),
+    ],
+)
+def test_a_change_runs_the_steps_it_affects(project, change, rules):
+    later = {"track", "record", "report"}
+    plan = planned(project, "--configfile", TINY, "--config", change)
+    assert plan - later == rules
+    assert {"track", "report"} <= plan
+
+
+def test_a_new_grid_trains_only_itself(project, tmp_path):
+    folder = tmp_path / "more"
+    shutil.copytree(project, folder)
+    before = (folder / "results/tiny/network/grid3/weights.safetensors").read_bytes()
+    done = snakemake(
+        folder, "results/tiny/table.csv", "--cores", "2", "--configfile", TINY,
+        "--config", "samples={'points_per_axis': [2, 3, 4]}",
+    )  # fmt: skip
+    said = {line.split(":")[0]: line for line in done.stderr.splitlines() if "seeds" in line}
+    assert "nothing new" in said["grid2"]
+    assert "nothing new" in said["grid3"]
+    assert "nothing new" not in said["grid4"]
+    assert (folder / "results/tiny/network/grid3/weights.safetensors").read_bytes() == before
+
+
+def test_two_studies_do_not_touch_each_other(project, tmp_path):
+    folder = tmp_path / "two"
+    shutil.copytree(project, folder)
+    before = {p: p.read_bytes() for p in (folder / "results/tiny").rglob("*") if p.is_file()}
+    text = (ROOT / TINY).read_text().replace("name: tiny", "name: other")
+    (folder / "other.yaml").write_text(text)
+    snakemake(folder, "results/other/table.csv", "--cores", "2", "--configfile", "other.yaml")
+    assert {
+        p: p.read_bytes() for p in (folder / "results/tiny").rglob("*") if p.is_file()
+    } == before
+    # The same settings under another name: the same numbers.
+    for name in ("table.csv", "network/grid3/weights.safetensors"):
+        one, other = (folder / "results" / study / name for study in ("tiny", "other"))
+        assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize("after_s", [3.0, 6.0, 9.0])
+def test_a_killed_run_goes_on_when_typed_again_with_the_same_numbers(project, tmp_path, after_s):
+    folder = project_copy(tmp_path / "killed")
+    arguments = ("results/tiny/table.csv", "--cores", "2", "--configfile", TINY)
+    process = subprocess.Popen(
+        [str(Path(sys.executable).with_name("snakemake")), *arguments],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
+    )
+    time.sleep(after_s)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    snakemake(folder, *arguments)
+    for name in ("table.csv", "network/grid2/weights.safetensors"):
+        assert (folder / "results/tiny" / name).read_bytes() == (
+            project / "results/tiny" / name
+        ).read_bytes()
+
+
+def test_a_bad_study_starts_no_job(tmp_path):
+    folder = project_copy(tmp_path / "bad")
+    (folder / "bad.yaml").write_text("name: bad\ntraining: {epochs: many}\n")
+    done = snakemake(folder, "--cores", "2", "--configfile", "bad.yaml", check=False)
+    assert done.returncode == 2
+    assert "'training.epochs' should be a valid integer" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (folder / "results").exists()
+
+
+def test_an_unreachable_workspace_ends_before_training(tmp_path):
+    folder = project_copy(tmp_path / "far")
+    (folder / "far.yaml").write_text(
+        "name: far\nworkspace: {lower_mm: [20, 20, -10], upper_mm: [100, 100, 60]}\n"
+    )
+    done = snakemake(folder, "--cores", "2", "--configfile", "far.yaml", check=False)
+    assert done.returncode == 1
+    assert "mm is out of reach. Move the workspace" in done.stdout + done.stderr
+    assert not list(folder.glob("results/far/network/*/*"))
+    assert not list(folder.glob("results/far/samples/*"))
+
+
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
+    from filelock import FileLock
+
+    folder = project_copy(tmp_path / "busy")
+    (folder / ".snakemake").mkdir()
+    with FileLock(folder / ".snakemake/iksamples.lock"):
+        done = snakemake(folder, "--cores", "2", "--configfile", TINY, check=False)
+    assert done.returncode == 2
+    assert "another run is working in this folder" in done.stderr
+
+
+def test_benchmarks_are_kept(project):
+    files = list((project / "results/tiny/benchmarks").rglob("*.jsonl"))
+    assert len(files) >= 8
+    for file in files:
+        assert np.isfinite(json.loads(file.read_text())["s"])
