@@ -13,6 +13,7 @@ from iksamples.errors import IksamplesError
 
 if TYPE_CHECKING:
     from iksamples.robot.chain import SerialChain
+    from iksamples.samples.dataset import SampleSet
     from iksamples.study import Study
 
 app = typer.Typer(
@@ -32,6 +33,18 @@ Results = Annotated[
     Path,
     typer.Option(
         "--results", help="Results folder of the study, such as results/paper.", file_okay=False
+    ),
+]
+
+
+SamplesFiles = Annotated[
+    list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file each.")
+]
+MethodName = Annotated[str, typer.Option(help="Which of the study's methods.")]
+MethodFolder = Annotated[
+    Path,
+    typer.Option(
+        "--folder", help="Folder of the method, with a folder for each set of samples in it."
     ),
 ]
 
@@ -79,70 +92,57 @@ def samples(
 @app.command()
 def train(
     study_file: StudyFile,
-    samples_files: Annotated[
-        list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file per grid.")
-    ],
+    samples_files: SamplesFiles,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder that gets a folder for each grid.")
+        Path, typer.Option("--output", "-o", help="Folder that gets <method>/<samples>/.")
     ],
     cache: Annotated[
         Path | None,
         typer.Option(help="Folder of trained seeds; a seed that is there is not trained again."),
     ] = None,
 ) -> None:
-    """Train all seeds on each set of samples."""
-    from iksamples.samples.dataset import SampleSet
+    """Train all seeds of every network of the study on each set of samples."""
     from iksamples.study import read_study
-    from iksamples.training.run import train as train_all
+    from iksamples.training.step import train_study
 
-    sets = [SampleSet.load(file) for file in samples_files]
-    outputs = [output / samples.label for samples in sets]
-    train_all(read_study(study_file), sets, outputs, cache, progress=True)
+    train_study(read_study(study_file), _load(samples_files), output, cache, progress=True)
 
 
 @app.command()
 def evaluate(
-    study_file: StudyFile,
-    weights: Annotated[Path, typer.Option(help="Trained networks (weights.safetensors).")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for waypoints, cube and errors.")
-    ],
+    study_file: StudyFile, samples_files: SamplesFiles, method: MethodName, folder: MethodFolder
 ) -> None:
-    """Send trained networks along the paths and over the workspace; measure through the FK."""
+    """Send a method along the paths and over the workspace; measure through the FK."""
     from iksamples.evaluation.errors import cube_errors, summarise, track_paths
     from iksamples.training.network import StackedMLP
 
     study, chain = _open(study_file)
-    network = StackedMLP.load(weights)
-    waypoints = track_paths(study, chain, network)
-    cube = cube_errors(study, chain, network)
-    tables = {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}
-    for name, table in tables.items():
-        with _whole(output / f"{name}.parquet") as file:
-            table.to_parquet(file)
+    for samples in _load(samples_files):
+        cell = folder / samples.label
+        predictor = StackedMLP.load(cell / "weights.safetensors")
+        waypoints = track_paths(study, chain, predictor)
+        cube = cube_errors(study, chain, predictor)
+        tables = {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}
+        for name, table in tables.items():
+            with _whole(cell / f"{name}.parquet") as file:
+                table.to_parquet(file)
 
 
 @app.command()
-def bounds(
-    study_file: StudyFile,
-    samples_file: Annotated[Path, typer.Option("--samples", help="What the networks learnt from.")],
-    weights: Annotated[Path, typer.Option(help="Trained networks (weights.safetensors).")],
-    cube: Annotated[Path, typer.Option(help="Errors over the workspace (cube.parquet).")],
-    output: Output,
-) -> None:
+def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFolder) -> None:
     """Compute the paper's bounds for trained networks, and how often each is exceeded."""
     import pandas as pd
 
     from iksamples.bounds.audit import audit
-    from iksamples.samples.dataset import SampleSet
     from iksamples.training.network import StackedMLP
 
     study, chain = _open(study_file)
-    table = audit(
-        study, chain, SampleSet.load(samples_file), StackedMLP.load(weights), pd.read_parquet(cube)
-    )
-    with _whole(output) as file:
-        table.to_parquet(file)
+    for samples in _load(samples_files):
+        cell = folder / samples.label
+        network = StackedMLP.load(cell / "weights.safetensors")
+        table = audit(study, chain, samples, network, pd.read_parquet(cell / "cube.parquet"))
+        with _whole(cell / "bounds.parquet") as file:
+            table.to_parquet(file)
 
 
 @app.command()
@@ -175,6 +175,19 @@ def record(
 
 
 @app.command()
+def report(
+    study_file: StudyFile,
+    results: Results,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
+) -> None:
+    """Build the report: one page that opens offline, and a Markdown twin."""
+    from iksamples.report.write import write_report
+    from iksamples.study import read_study
+
+    write_report(read_study(study_file), results, output)
+
+
+@app.command()
 def handbook(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")] = Path(
         "config"
@@ -186,6 +199,12 @@ def handbook(
     for name, text in (("README.md", settings_page()), ("schema.json", schema())):
         with _whole(output / name) as file:
             file.write_text(text, encoding="utf-8")
+
+
+def _load(files: list[Path]) -> "list[SampleSet]":
+    from iksamples.samples.dataset import SampleSet
+
+    return [SampleSet.load(file) for file in files]
 
 
 def _open(study_file: Path) -> "tuple[Study, SerialChain]":

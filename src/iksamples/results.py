@@ -61,7 +61,12 @@ def labels(study: Study) -> list[str]:
     return [f"grid{m}" for m in study.samples.points_per_axis]
 
 
-def cells(study: Study, results: str | Path) -> Iterator[Cell]:
-    """Every method on every set of samples of a study."""
+def networks(study: Study) -> list[str]:
+    """Names of the study's methods that are trained."""
+    return [name for name, method in study.all_methods.items() if method.kind == "network"]
+
+
+def cells(study: Study, results: str | Path, method: str = NETWORK) -> Iterator[Cell]:
+    """A method on every set of samples of a study."""
     for label in labels(study):
-        yield Cell(Path(results), NETWORK, label)
+        yield Cell(Path(results), method, label)

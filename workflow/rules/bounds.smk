@@ -2,10 +2,10 @@
 Bounds: what the paper's equations say of each trained network, and whether it holds.
 
 REQUIRED INPUTS
-    results/<study>/samples/grid<m>.parquet
-    results/<study>/network/grid<m>/weights.safetensors, cube.parquet
+    results/<study>/samples/<samples>.parquet
+    results/<study>/network/<samples>/weights.safetensors, cube.parquet
 OUTPUTS
-    results/<study>/network/grid<m>/bounds.parquet
+    results/<study>/network/<samples>/bounds.parquet
 """
 
 
@@ -13,19 +13,21 @@ rule bounds:
     """The paper's bounds for every seed, beside its errors."""
     input:
         urdf=STUDY.robot.urdf,
-        samples="results/{study}/samples/{samples}.parquet",
-        weights="results/{study}/network/{samples}/weights.safetensors",
-        cube="results/{study}/network/{samples}/cube.parquet",
+        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+        weights=expand(
+            "results/{{study}}/network/{samples}/weights.safetensors", samples=LABELS
+        ),
+        cube=expand("results/{{study}}/network/{samples}/cube.parquet", samples=LABELS),
     output:
-        "results/{study}/network/{samples}/bounds.parquet",
+        expand("results/{{study}}/network/{samples}/bounds.parquet", samples=LABELS),
     log:
-        "results/{study}/logs/bounds/{samples}.log",
+        "results/{study}/logs/bounds.log",
     benchmark:
-        "results/{study}/benchmarks/bounds/{samples}.jsonl"
+        "results/{study}/benchmarks/bounds.jsonl"
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation", "bounds"),
         code=source_digest("iksamples.bounds.audit"),
+        folder="results/{study}/network",
     shell:
-        "iksamples bounds {params.study:q} --samples {input.samples:q} --weights {input.weights:q}"
-        " --cube {input.cube:q} --output {output:q} 2> {log:q}"
+        "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> {log:q}"

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from iksamples.errors import IksamplesError
-from iksamples.results import labels
+from iksamples.results import labels, networks
 from iksamples.sources import source_digest
 from iksamples.study import parse_study
 
@@ -81,5 +81,6 @@ LABELS = labels(STUDY)
 wildcard_constraints:
     study=STUDY.name,
     samples="|".join(LABELS),
+    method="|".join(STUDY.all_methods),
     m=r"\d+",
     path="|".join(STUDY.evaluation.paths),

@@ -1,31 +1,47 @@
 """
-Evaluation: the trained networks sent along the paths and over the workspace.
+Evaluation: each method sent along the paths and over the workspace.
 
 REQUIRED INPUTS
-    results/<study>/network/grid<m>/weights.safetensors
+    results/<study>/samples/<samples>.parquet
+    results/<study>/<method>/<samples>/weights.safetensors, where the method is a network
 OUTPUTS
-    results/<study>/network/grid<m>/{waypoints,cube,errors}.parquet
+    results/<study>/<method>/<samples>/{waypoints,cube,errors}.parquet
 """
+
+
+def weights(wildcards):
+    """What a network needs to be asked; another method needs the samples alone."""
+    if wildcards.method not in networks(STUDY):
+        return []
+    return expand(
+        "results/{study}/{method}/{samples}/weights.safetensors",
+        study=wildcards.study,
+        method=wildcards.method,
+        samples=LABELS,
+    )
 
 
 rule evaluate:
     """Measure the position error of every seed through the forward kinematics."""
     input:
+        weights,
         urdf=STUDY.robot.urdf,
-        weights="results/{study}/network/{samples}/weights.safetensors",
+        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
     output:
-        waypoints="results/{study}/network/{samples}/waypoints.parquet",
-        cube="results/{study}/network/{samples}/cube.parquet",
-        errors="results/{study}/network/{samples}/errors.parquet",
+        expand(
+            "results/{{study}}/{{method}}/{samples}/{table}.parquet",
+            samples=LABELS,
+            table=["waypoints", "cube", "errors"],
+        ),
     log:
-        "results/{study}/logs/evaluate/{samples}.log",
+        "results/{study}/logs/evaluate/{method}.log",
     benchmark:
-        "results/{study}/benchmarks/evaluate/{samples}.jsonl"
+        "results/{study}/benchmarks/evaluate/{method}.jsonl"
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation"),
         code=source_digest("iksamples.evaluation.errors"),
-        folder=subpath(output.errors, parent=True),
+        folder="results/{study}/{method}",
     shell:
-        "iksamples evaluate {params.study:q} --weights {input.weights:q}"
-        " --output {params.folder:q} 2> {log:q}"
+        "iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.method}"
+        " --folder {params.folder:q} 2> {log:q}"

@@ -24,7 +24,7 @@ rule report:
     params:
         study="results/{study}/study.json",
         settings=STUDY.model_dump_json(),
-        code=source_digest("iksamples.report"),
+        code=source_digest("iksamples.report.write"),
         results="results/{study}",
         folder=subpath(output.html, parent=True),
     shell:

@@ -1,23 +1,25 @@
 """
-Training: all seeds of all grids in one job, since starting Lightning costs more than the training.
+Training: all seeds of all networks on all samples in one job, since starting Lightning costs more
+than the training.
 
-A grid or a seed that is already in the cache is not trained again, so that adding one costs only
-what is new, and so does going on after a kill.
+A seed that is already in the cache is not trained again, so that another grid, seed or method
+costs only what is new, and so does going on after a kill.
 
 REQUIRED INPUTS
-    results/<study>/samples/grid<m>.parquet
+    results/<study>/samples/<samples>.parquet
 OUTPUTS
-    results/<study>/network/grid<m>/{weights,snapshots}.safetensors, {history,members}.parquet
+    results/<study>/<method>/<samples>/{weights,snapshots}.safetensors, {history,members}.parquet
 """
 
 
 rule train:
-    """Train every seed on every grid."""
+    """Train every seed of every network on every set of samples."""
     input:
         samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
     output:
         expand(
-            "results/{{study}}/network/{samples}/{file}",
+            "results/{{study}}/{method}/{samples}/{file}",
+            method=networks(STUDY),
             samples=LABELS,
             file=[
                 "weights.safetensors",
@@ -31,9 +33,9 @@ rule train:
     threads: 2
     params:
         study="results/{study}/study.json",
-        settings=settings("network", "training"),
-        code=source_digest("iksamples.training.run"),
-        folder="results/{study}/network",
+        settings=settings("network", "training", "methods"),
+        code=source_digest("iksamples.training.step"),
+        folder="results/{study}",
         cache="results/{study}/cache",
     shell:
         "iksamples train {params.study:q} {input.samples:q}"

@@ -1,4 +1,4 @@
-"""Position errors of trained networks on paths and over the whole workspace."""
+"""Position errors of networks and other methods on paths and over the whole workspace."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.evaluation.paths import waypoints_mm
+from iksamples.methods.predictor import Predictor
 from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import AXES, region_points
 from iksamples.study import Study
-from iksamples.training.network import StackedMLP
 
 
 if TYPE_CHECKING:
@@ -21,10 +21,10 @@ CUBE = "cube"
 
 @dataclass(frozen=True)
 class Tracking:
-    """What networks do when sent to some positions.
+    """What a method does when sent to some positions.
 
     Attributes:
-        joints: Joint values the networks answer [rad], shape (seeds, points, joints).
+        joints: Joint values that each seed answers [rad], shape (seeds, points, joints).
         reached_mm: Where the tool goes [mm], shape (seeds, points, 3).
         error_mm: Distance to where it was sent (paper, Eq. 3, unsquared) [mm],
             shape (seeds, points).
@@ -35,20 +35,20 @@ class Tracking:
     error_mm: Floats
 
 
-def send(network: StackedMLP, chain: SerialChain, targets_mm: Floats) -> Tracking:
-    """Sends networks to positions and follows them through the forward kinematics.
+def send(predictor: Predictor, chain: SerialChain, targets_mm: Floats) -> Tracking:
+    """Sends a method to positions and follows it through the forward kinematics.
 
     Args:
-        network: Stacked networks.
+        predictor: Stacked networks, or any other fitted method.
         chain: The arm.
         targets_mm: Positions [mm], shape (points, 3).
     """
-    joints = network.predict(targets_mm)
+    joints = predictor.predict(targets_mm)
     reached = chain.forward_mm(joints)
     return Tracking(joints, reached, np.linalg.norm(reached - targets_mm, axis=-1))
 
 
-def track_paths(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.DataFrame":
+def track_paths(study: Study, chain: SerialChain, predictor: Predictor) -> "pd.DataFrame":
     """Every waypoint of every path for every seed.
 
     Returns:
@@ -59,12 +59,12 @@ def track_paths(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.Da
     frames = []
     for name, path in study.evaluation.paths.items():
         targets = waypoints_mm(path)
-        result = send(network, chain, targets)
+        result = send(predictor, chain, targets)
         n_seeds, n_points = result.error_mm.shape
         columns: dict[str, object] = {
             "path": name,
             "waypoint": np.tile(np.arange(n_points), n_seeds),
-            "seed": np.repeat(network.seeds, n_points),
+            "seed": np.repeat(predictor.seeds, n_points),
         }
         for i, axis in enumerate(AXES):
             columns[f"target_{axis}_mm"] = np.tile(targets[:, i], n_seeds)
@@ -77,7 +77,7 @@ def track_paths(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.Da
     return pd.concat(frames, ignore_index=True)
 
 
-def cube_errors(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.DataFrame":
+def cube_errors(study: Study, chain: SerialChain, predictor: Predictor) -> "pd.DataFrame":
     """The error at every point of the workspace's dense set for every seed.
 
     Returns:
@@ -86,11 +86,11 @@ def cube_errors(study: Study, chain: SerialChain, network: StackedMLP) -> "pd.Da
     import pandas as pd
 
     points = region_points(study, chain, study.evaluation.cube_points)
-    error = send(network, chain, points).error_mm
+    error = send(predictor, chain, points).error_mm
     return pd.DataFrame(
         {
-            "point": np.tile(np.arange(len(points), dtype=np.int32), network.n_seeds),
-            "seed": np.repeat(np.asarray(network.seeds, np.int32), len(points)),
+            "point": np.tile(np.arange(len(points), dtype=np.int32), len(predictor.seeds)),
+            "seed": np.repeat(np.asarray(predictor.seeds, np.int32), len(points)),
             "error_mm": error.astype(np.float32).ravel(),
         }
     )

@@ -1,102 +1,213 @@
-"""Writes a path's recording: arm, target and every grid's path, over the waypoints and the epochs.
+"""Writes a path's recording: the arm, the target and every grid's path, in one Rerun file.
 
-Everything is in metres, as in the URDF; only the error plots are in millimetres. Two timelines:
-``waypoint`` moves the arm along the path as the trained network sends it, ``epoch`` replays how
-the networks came to draw the path.
+Lengths are in metres, as in the URDF; only the error curves are in millimetres. Two timelines:
+``waypoint`` moves the arm along the path as the trained network sends it, ``epoch`` replays how the
+networks came to draw the path.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
 from iksamples.errors import IksamplesError
-from iksamples.recording.layout import layout
-from iksamples.recording.shown import GridFiles, ShownGrid, read_grid
+from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
+from iksamples.recording.shown import ShownGrid, read_grid
+from iksamples.results import Cell
 from iksamples.robot.chain import MM_PER_M, Floats, SerialChain
 from iksamples.robot.workspace import study_chain
 from iksamples.study import Study
 
 
-APPLICATION = "iksamples"
-WAYPOINT, EPOCH = "waypoint", "epoch"
+# Smooth enough for the eye, few enough for a small file.
+MAX_WAYPOINTS = 600
 
 RED, BLACK, GREY = (214, 39, 40), (0, 0, 0), (150, 150, 150)
-# Blues of one hue, from few samples to many, that stand out against white.
-_LIGHT_BLUE, _DARK_BLUE = np.array([125, 190, 255]), np.array([10, 40, 140])
+_LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 
 
-def record_path(
-    study: Study, path_name: str, grids: Sequence[GridFiles], output: str | Path
-) -> None:
-    """Writes one recording with all grids in it.
+def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str | Path) -> None:
+    """Writes one recording of a path with all grids in it.
 
-    Of each grid the network of the median seed is shown; the arm follows the network of the
-    largest grid, even where its joint values leave the joint limits.
+    Of each grid the network of the median seed is shown; a grid whose median seed diverged is left
+    out, and the recording says so. The arm follows the network of the largest grid shown, also
+    where its joint values leave the joint limits. A path of more than 600 waypoints is thinned.
 
     Args:
         study: The study.
         path_name: One of its paths.
-        grids: Files of each grid.
+        cells: The results of each grid, smallest first.
         output: The ``.rrd`` file.
 
     Raises:
-        IksamplesError: The path was not evaluated, or no grid is given.
+        IksamplesError: No grid can be shown, or the path was not evaluated.
     """
-    if not grids:
-        raise IksamplesError(f"recording of '{path_name}': no grid to show.")
     chain = study_chain(study)
-    shown = sorted((read_grid(chain, path_name, files) for files in grids), key=_by_size)
-    output = Path(output)
-    # Written beside the output and moved there, so that a stopped run leaves no half recording.
-    draft = output.with_name(f".{output.name}.draft")
-    try:
-        _write(study, path_name, chain, shown, draft)
-        draft.replace(output)
-    finally:
-        draft.unlink(missing_ok=True)
+    read = [read_grid(chain, path_name, cell) for cell in cells]
+    shown = [grid for grid in read if grid.finite]
+    if not shown:
+        raise IksamplesError(
+            f"recording of '{path_name}': the median seed of every grid diverged; there is nothing "
+            "to draw. Lower training.learning_rate."
+        )
+    left_out = [grid for grid in read if not grid.finite]
+    _write(study, path_name, chain, shown, left_out, Path(output))
 
 
-def _by_size(grid: ShownGrid) -> int:
-    return grid.n_samples
+def blues(n: int) -> list[tuple[int, int, int]]:
+    """Colours of n grids, from few samples (light) to many (dark)."""
+    shades = _LIGHT_BLUE + np.linspace(0, 1, n)[:, None] * (_DARK_BLUE - _LIGHT_BLUE)
+    return [(int(red), int(green), int(blue)) for red, green, blue in shades]
+
+
+def path_breaks(target_mm: Floats) -> list[int]:
+    """Waypoints at which the pen is set down anew, such as on the second of two rectangles.
+
+    Args:
+        target_mm: The path [mm], shape (waypoints, 3).
+
+    Returns:
+        Index of the first waypoint after each closed part of the path, the last part aside.
+    """
+    breaks, start = [], 0
+    for i in range(1, len(target_mm) - 1):
+        if i > start and np.allclose(target_mm[i], target_mm[start], rtol=0, atol=1e-6):
+            start = i + 1
+            breaks.append(start)
+    return breaks
 
 
 def _write(
-    study: Study, path_name: str, chain: SerialChain, shown: list[ShownGrid], file: Path
+    study: Study,
+    path_name: str,
+    chain: SerialChain,
+    shown: Sequence[ShownGrid],
+    left_out: Sequence[ShownGrid],
+    file: Path,
 ) -> None:
     """Logs the whole scene to a file."""
     arm = shown[-1]
     recording = rr.RecordingStream(
         APPLICATION, recording_id=f"{study.name}-{path_name}", send_properties=False
     )
-    # Wall-clock times would make two recordings of the same results differ.
+    # Two recordings of the same results are to hold the same, whatever the clock says.
     rr.set_log_time_enabled(False, recording=recording)
-    recording.save(file, default_blueprint=layout(study, path_name, shown))
+    recording.save(file, default_blueprint=layout(study, path_name, chain, shown))
     recording.send_recording_name(f"{study.name}: {path_name}")
+    text = about(study, path_name, shown, left_out)
+    recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    recording.log(
-        "about", rr.TextDocument(_about(study, path_name, shown), "text/markdown"), static=True
-    )
-    _log_arm(recording, study, chain, arm)
-    _log_box(recording, study)
-    target = arm.target_mm / MM_PER_M
-    breaks = path_breaks(arm.target_mm)
-    recording.log(
-        "path/target",
-        rr.LineStrips3D(np.split(target, breaks), colors=RED, radii=rr.Radius.ui_points(2.0)),
-        static=True,
-    )
+    waypoints = np.arange(0, len(arm.target_mm), -(-len(arm.target_mm) // MAX_WAYPOINTS))
+    _log_scene(recording, study, arm.target_mm)
+    _log_arm(recording, study, chain, arm, waypoints)
     for grid, colour in zip(shown, blues(len(shown)), strict=True):
-        _log_grid(recording, grid, colour, breaks)
+        _log_grid(recording, grid, colour, waypoints)
     recording.flush()
     recording.disconnect()
 
 
-def blues(n: int) -> list[tuple[int, int, int]]:
-    """Colours of n grids, from few samples (light) to many (dark)."""
-    return [
-        tuple(int(round(channel)) for channel in _LIGHT_BLUE + share * (_DARK_BLUE - _LIGHT_BLUE))
-        for share in np.linspace(0.0, 1.0, n)
-    ]
+def _log_arm(
+    recording: rr.RecordingStream,
+    study: Study,
+    chain: SerialChain,
+    grid: ShownGrid,
+    waypoints: NDArray[np.int64],
+) -> None:
+    """The links as bodies, and the joints over both timelines."""
+    tree = UrdfTree.from_file_path(study.robot.urdf, entity_path_prefix="robot")
+    tree.log_urdf_to_recording(recording)
+    # A URDF's links are frames with names, which nothing ties to the scene until told so. The scene
+    # hangs from the base link, not the other way round: that link may hang from another already.
+    base = study.robot.base_link or tree.root_link().name
+    recording.log("base", rr.Transform3D(parent_frame=base, child_frame="tf#/"), static=True)
+    joints = {joint.name: joint for joint in tree.joints()}
+    for i, name in enumerate(chain.joint_names):
+        joint = joints[name]
+        unit = MM_PER_M if chain.joint_kinds[i] == "prismatic" else 1.0
+        # While training is replayed, the arm stands at the start of the path.
+        for timeline, times, values in (
+            (WAYPOINT, waypoints, grid.joints[waypoints, i]),
+            (EPOCH, grid.epochs, grid.learning.joints[:, 0, i]),
+        ):
+            recording.send_columns(
+                f"robot/joints/{name}",
+                [rr.TimeColumn(timeline, sequence=times)],
+                joint.compute_transform_columns((values / unit).tolist(), clamp=False),
+            )
+
+
+def _log_scene(recording: rr.RecordingStream, study: Study, target_mm: Floats) -> None:
+    """What does not depend on a network: the path and the workspace."""
+    recording.log(
+        "path/target",
+        rr.LineStrips3D(
+            np.split(target_mm / MM_PER_M, path_breaks(target_mm)),
+            colors=RED,
+            radii=rr.Radius.ui_points(1.5),
+        ),
+        static=True,
+    )
+    lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
+    recording.log(
+        "workspace",
+        rr.Boxes3D(
+            mins=[lower / MM_PER_M],
+            sizes=[(upper - lower) / MM_PER_M],
+            colors=GREY,
+            radii=rr.Radius.ui_points(0.75),
+            fill_mode="majorwireframe",
+        ),
+        static=True,
+    )
+
+
+def _log_grid(
+    recording: rr.RecordingStream,
+    grid: ShownGrid,
+    colour: tuple[int, int, int],
+    waypoints: NDArray[np.int64],
+) -> None:
+    """One grid's samples, its path over both timelines and its errors."""
+    over_waypoints = [rr.TimeColumn(WAYPOINT, sequence=waypoints)]
+    over_epochs = [rr.TimeColumn(EPOCH, sequence=grid.epochs)]
+    reached_mm, learning_mm = grid.reached_mm[waypoints], grid.learning.reached_mm[:, waypoints]
+    recording.log(
+        f"samples/{grid.label}",
+        rr.Points3D(grid.samples_mm / MM_PER_M, colors=BLACK, radii=rr.Radius.ui_points(1.5)),
+        static=True,
+    )
+
+    # One entity on both timelines: on the first the whole path, from the first waypoint on.
+    path = f"path/reached/{grid.label}"
+    breaks = np.searchsorted(waypoints, path_breaks(grid.target_mm))
+    line = rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5))
+    recording.log(path, line, static=True)
+    at_start = [rr.TimeColumn(WAYPOINT, sequence=waypoints[:1])]
+    recording.send_columns(path, at_start, _strips(reached_mm[None], breaks))
+    recording.send_columns(path, over_epochs, _strips(learning_mm, breaks))
+
+    tool = f"tool/{grid.label}"
+    dot = rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0))
+    recording.log(tool, dot, static=True)
+    recording.send_columns(
+        tool, over_waypoints, rr.Points3D.columns(positions=reached_mm / MM_PER_M)
+    )
+
+    curve = rr.SeriesLines(names=f"{grid.n_samples} samples", colors=colour, widths=2.0)
+    for timeline, times, error_mm in (
+        (WAYPOINT, over_waypoints, grid.error_mm[waypoints]),
+        (EPOCH, over_epochs, grid.learning.error_mm.mean(axis=1)),
+    ):
+        entity = f"error/{timeline}/{grid.label}"
+        recording.log(entity, curve, static=True)
+        recording.send_columns(entity, times, rr.Scalars.columns(scalars=error_mm))
+
+
+def _strips(paths_mm: Floats, breaks: NDArray[np.int64]) -> rr.ComponentColumnList:
+    """Paths [mm], shape (times, waypoints, 3), as a column of line strips."""
+    strips = [strip for path in paths_mm / MM_PER_M for strip in np.split(path, breaks)]
+    per_time = [len(breaks) + 1] * len(paths_mm)
+    return rr.LineStrips3D.columns(strips=strips).partition(per_time)

@@ -3,24 +3,24 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from iksamples.errors import IksamplesError
+from iksamples.evaluation.errors import Tracking, send
+from iksamples.results import Cell
 from iksamples.robot.chain import Floats, SerialChain
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import AXES
 from iksamples.training.network import StackedMLP
 
 
-class GridFiles(NamedTuple):
-    """One grid's result files."""
+if TYPE_CHECKING:
+    import pandas as pd
 
-    samples: Path
-    snapshots: Path
-    waypoints: Path
+# Enough to watch a training, few enough for a small file.
+MAX_EPOCHS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,7 @@ class ShownGrid:
         reached_mm: Where that takes the tool [mm], shape (waypoints, 3).
         error_mm: Distance between the two [mm], shape (waypoints,).
         epochs: Epochs at which weights were kept, shape (epochs,).
-        learning_joints: What the network answered then [rad or mm],
-            shape (epochs, waypoints, joints).
-        learning_mm: Where that took the tool [mm], shape (epochs, waypoints, 3).
+        learning: What the network answered then, with the epochs in place of the seeds.
     """
 
     label: str
@@ -51,8 +49,7 @@ class ShownGrid:
     reached_mm: Floats
     error_mm: Floats
     epochs: NDArray[np.int64]
-    learning_joints: Floats
-    learning_mm: Floats
+    learning: Tracking
 
     @property
     def n_samples(self) -> int:
@@ -60,47 +57,45 @@ class ShownGrid:
         return len(self.samples_mm)
 
     @property
-    def learning_error_mm(self) -> Floats:
-        """Mean distance from the path at each of the epochs [mm], shape (epochs,)."""
-        return np.linalg.norm(self.learning_mm - self.target_mm, axis=-1).mean(axis=-1)
+    def finite(self) -> bool:
+        """Whether the network's answers are numbers throughout."""
+        return bool(np.all(np.isfinite(self.joints)) and np.all(np.isfinite(self.learning.joints)))
 
 
-def read_grid(chain: SerialChain, path_name: str, files: GridFiles) -> ShownGrid:
+def read_grid(chain: SerialChain, path_name: str, cell: Cell) -> ShownGrid:
     """Reads what a recording shows of one grid.
 
     Args:
         chain: The study's arm.
         path_name: Which path.
-        files: The grid's results.
+        cell: The grid's results.
 
     Raises:
         IksamplesError: The results know no such path.
     """
-    samples = SampleSet.load(files.samples)
-    table = pd.read_parquet(files.waypoints, filters=[("path", "==", path_name)])
+    table = cell.table("waypoints")
+    table = table[table["path"] == path_name]
     if table.empty:
-        raise IksamplesError(f"{files.waypoints}: no path '{path_name}' was evaluated.")
+        raise IksamplesError(f"{cell.folder}: path '{path_name}' was not evaluated.")
     seed = median_seed(table)
     rows = table[table["seed"] == seed].sort_values("waypoint")
-    target = rows[[f"target_{axis}_mm" for axis in AXES]].to_numpy(float)
-    epochs, networks = networks_over_epochs(files.snapshots, seed)
-    learning_joints = networks.predict(target)
+    target_mm = rows[[f"target_{axis}_mm" for axis in AXES]].to_numpy(float)
+    epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     return ShownGrid(
-        label=samples.label,
-        samples_mm=samples.positions_mm,
+        label=cell.label,
+        samples_mm=cell.samples.positions_mm,
         n_seeds=table["seed"].nunique(),
         seed=seed,
-        target_mm=target,
+        target_mm=target_mm,
         joints=rows[[f"q_{name}_rad" for name in chain.joint_names]].to_numpy(float),
         reached_mm=rows[[f"reached_{axis}_mm" for axis in AXES]].to_numpy(float),
         error_mm=rows["error_mm"].to_numpy(float),
         epochs=epochs,
-        learning_joints=learning_joints,
-        learning_mm=chain.forward_mm(learning_joints),
+        learning=send(networks, chain, target_mm),
     )
 
 
-def median_seed(waypoints: pd.DataFrame) -> int:
+def median_seed(waypoints: "pd.DataFrame") -> int:
     """The seed whose mean error on a path is the median over the seeds.
 
     Of an even number of seeds it is the better of the middle two, so that it is always a network
@@ -122,7 +117,8 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         seed: Which seed.
 
     Returns:
-        The epochs, shape (epochs,), and a stack with one network per epoch.
+        The epochs, at most 60 of them with the first and the last, shape (epochs,), and a stack
+        with one network per epoch.
     """
     from safetensors import safe_open
 
@@ -130,13 +126,14 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         header = {key: json.loads(value) for key, value in file.metadata().items()}
         row = header["seeds"].index(seed)
         layers = range(sum(key.endswith(".weight") for key in file.keys()))  # noqa: SIM118
+        epochs = file.get_tensor("epochs").astype(np.int64)
+        kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
         weights, biases = (
-            tuple(np.array(file.get_slice(f"layers.{i}.{part}")[:, row]) for i in layers)
+            tuple(file.get_slice(f"layers.{i}.{part}")[:, row][kept] for i in layers)
             for part in ("weight", "bias")
         )
-        epochs = file.get_tensor("epochs").astype(np.int64)
         offset_mm, scale_mm = file.get_tensor("offset_mm"), file.get_tensor("scale_mm")
     stack = StackedMLP(
-        weights, biases, header["activation"], offset_mm, scale_mm, (seed,) * len(epochs)
+        weights, biases, header["activation"], offset_mm, scale_mm, (seed,) * len(kept)
     )
-    return epochs, stack
+    return epochs[kept], stack

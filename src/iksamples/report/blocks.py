@@ -1,7 +1,7 @@
 """What a section of the report is made of; the templates turn each block into HTML and Markdown.
 
-A section is written once. Its text is plain, with three marks that both outputs know: `code`,
-**strong** and [link](target).
+A section is written once. Its text is plain, with four marks that both outputs know: `code`,
+**strong**, ^raised^ and [link](target).
 """
 
 from collections.abc import Sequence
@@ -22,6 +22,7 @@ class Text:
     kind: ClassVar[str] = "text"
     text: str
     in_readme: bool = True
+    in_page: bool = True
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Number:
     source: str = ""
 
     def __str__(self) -> str:
+        """The number as it is printed."""
         if not np.isfinite(self.value):
             return ""
         shown = f"{self.value:,.{self.digits}f}".replace(",", "\u202f")
@@ -72,6 +74,7 @@ class Table:
     """A table; cells are strings or ``Number``."""
 
     kind: ClassVar[str] = "table"
+    in_page: ClassVar[bool] = True
     columns: Sequence[Column]
     rows: Sequence[Sequence[str | Number]]
     caption: str = ""
@@ -96,21 +99,24 @@ class Figure:
 
     Attributes:
         name: File name of the picture and prefix of the identifiers in the page.
-        label: ``Figure 3``, or a letter for a figure the paper does not have.
+        label: ``Figure 3``, or empty for a figure the paper does not have, which gets a letter.
         caption: What is shown; the first sentence is the title.
         drawing: The matplotlib figure.
         data: Which files it was drawn from.
         drawn_by: Which function drew it.
+        hint: What can be done with it on the page; not in the Markdown twin.
         tips: Name of a group of marks -> one line for each mark, shown when pointed at.
     """
 
     kind: ClassVar[str] = "figure"
+    in_page: ClassVar[bool] = True
     name: str
     label: str
     caption: str
     drawing: "Drawing"
     data: str
     drawn_by: str
+    hint: str = ""
     tips: dict[str, list[str]] = field(default_factory=dict)
     in_readme: bool = True
 
@@ -120,11 +126,13 @@ class Viewer:
     """The view in three dimensions that can be turned; the page only."""
 
     kind: ClassVar[str] = "viewer"
+    in_page: ClassVar[bool] = True
     label: str
     caption: str
     scene: dict[str, object]
     data: str
     drawn_by: str
+    hint: str = ""
     in_readme: bool = False
 
 
@@ -133,6 +141,7 @@ class Commands:
     """Lines to type in a terminal."""
 
     kind: ClassVar[str] = "commands"
+    in_page: ClassVar[bool] = True
     lines: Sequence[str]
     in_readme: bool = True
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLo
 
 
 # The recordings use the same three: target red, network blue, training points black.
-TARGET = "#d1242f"
+TARGET = "#d62728"
 NETWORK = "#1f5fc4"
 SAMPLE = "#14171a"
 PAPER = "#6b7178"
@@ -39,7 +39,7 @@ _CSS_NAMES = {
     RULE: "rule",
     PANEL: "panel",
 }
-_RC: dict[str, Any] = {
+_RC: Any = {
     "font.family": ["DejaVu Sans"],
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -77,28 +77,28 @@ _RC: dict[str, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "iksamples",
 }
-_WIDTH_IN = 9.2
 
 
 def panels(
-    rows: int, columns: int, height_in: float, **layout: Any
+    rows: int, columns: int, height_in: float, width_in: float = 9.2, **layout: Any
 ) -> tuple[Figure, Sequence[Sequence[Axes]]]:
-    """An empty figure as wide as the page.
+    """An empty figure, as wide as the page if not said otherwise.
 
     Args:
         rows: Rows of axes.
         columns: Columns of axes.
         height_in: Height of the figure [in].
+        width_in: Width of the figure [in]; the page shows an inch as 100 pixels.
         **layout: Margins and gaps, and what ``Figure.subplots`` takes.
 
     Returns:
         The figure and its axes as rows of columns.
     """
-    margins = {"left": 0.065, "right": 0.985, "bottom": 0.13, "top": 0.92}
+    margins = {"left": 0.07, "right": 0.985, "bottom": 0.13, "top": 0.92}
     gaps = ("left", "right", "bottom", "top", "wspace", "hspace", "width_ratios")
     grid = margins | {key: layout.pop(key) for key in gaps if key in layout}
     with matplotlib.rc_context(_RC):
-        figure = Figure(figsize=(_WIDTH_IN, height_in))
+        figure = Figure(figsize=(width_in, height_in))
         FigureCanvasAgg(figure)
         axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **layout)
     return figure, axes.tolist()
@@ -145,7 +145,7 @@ def svg(figure: Figure, name: str, label: str, tips: Mapping[str, Sequence[str]]
         tips: Group (``set_gid``) -> a line for each of its marks, in drawing order.
     """
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Title": None})
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.S)
@@ -164,7 +164,7 @@ def svg(figure: Figure, name: str, label: str, tips: Mapping[str, Sequence[str]]
     text = re.sub(
         r"<svg[^>]*>",
         f'<svg xmlns="http://www.w3.org/2000/svg" {head.group()} role="img" '
-        f'aria-label="{escape(label)}">',
+        f'aria-label="{escape(label)}" style="max-width: {figure.get_figwidth() * 100:.0f}px">',
         text,
         count=1,
     )

@@ -1,0 +1,298 @@
+"""Recordings, read back from the file."""
+
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rerun.chunk import RrdReader
+from safetensors.numpy import save_file
+from scipy.spatial.transform import Rotation
+
+from iksamples.errors import IksamplesError
+from iksamples.evaluation.errors import track_paths
+from iksamples.evaluation.paths import waypoints_mm
+from iksamples.recording.record import blues, path_breaks, record_path
+from iksamples.recording.shown import MAX_EPOCHS, median_seed, networks_over_epochs
+from iksamples.results import Cell, cells
+from iksamples.robot.chain import SerialChain
+from iksamples.samples.dataset import grid_samples
+from iksamples.study import Study, parse_study
+from iksamples.training.network import StackedMLP
+
+
+SEEDS = (3, 4, 5, 6)
+EPOCHS = np.array([1, 2, 7, 40])
+
+
+@pytest.fixture
+def small() -> Study:
+    return parse_study(
+        {
+            "name": "small",
+            "samples": {"points_per_axis": [2, 3]},
+            "training": {"seeds": len(SEEDS), "first_seed": SEEDS[0]},
+            "evaluation": {
+                "paths": {
+                    "rectangles": {"shape": "double_rectangle", "waypoints": 40},
+                    "heart": {"shape": "heart", "waypoints": 30},
+                }
+            },
+        }
+    )
+
+
+@pytest.fixture
+def results(
+    small: Study, chain: SerialChain, rng: np.random.Generator, tmp_path: Path
+) -> list[Cell]:
+    """Results of networks with random weights, which draw no heart but are networks."""
+    made = list(cells(small, tmp_path / "results"))
+    for cell, m in zip(made, small.samples.points_per_axis, strict=True):
+        cell.folder.mkdir(parents=True)
+        cell.samples_path.parent.mkdir(exist_ok=True)
+        samples = grid_samples(small, chain, m)
+        samples.save(cell.samples_path)
+        shapes = {"0.weight": (3, 5), "0.bias": (5,), "1.weight": (5, 3), "1.bias": (3,)}
+        tensors: dict[str, np.ndarray] = {
+            f"layers.{name}": rng.normal(scale=2, size=(len(EPOCHS), len(SEEDS), *shape)).astype(
+                "float32"
+            )
+            for name, shape in shapes.items()
+        }
+        layers = [
+            [tensors[f"layers.{i}.{part}"][-1] for i in (0, 1)] for part in ("weight", "bias")
+        ]
+        network = StackedMLP(
+            tuple(layers[0]),
+            tuple(layers[1]),
+            "relu",
+            samples.offset_mm,
+            samples.scale_mm,
+            SEEDS,
+        )
+        network.save(cell.folder / "weights.safetensors")
+        save_file(
+            {
+                **tensors,
+                "epochs": EPOCHS,
+                "offset_mm": samples.offset_mm,
+                "scale_mm": samples.scale_mm,
+            },
+            cell.folder / "snapshots.safetensors",
+            {"activation": json.dumps("relu"), "seeds": json.dumps(SEEDS)},
+        )
+        track_paths(small, chain, network).to_parquet(cell.folder / "waypoints.parquet")
+    return made
+
+
+@pytest.fixture
+def heart(small: Study, results: list[Cell], tmp_path: Path) -> Path:
+    file = tmp_path / "heart.rrd"
+    record_path(small, "heart", results, file)
+    return file
+
+
+def read(file: Path, entity: str, component: str, timeline: str | None) -> dict[int, list]:
+    """Values of a component by time (0 where static), as the viewer would find them."""
+    found = {}
+    for chunk in RrdReader(file).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        if chunk.entity_path != entity or component not in names:
+            continue
+        if timeline is None and chunk.is_static:
+            found |= dict(enumerate(batch.column(component).to_pylist()))
+        elif timeline in names:
+            times = batch.column(timeline).to_pylist()
+            found |= dict(zip(times, batch.column(component).to_pylist(), strict=True))
+    return found
+
+
+def shown_network(cell: Cell, targets_mm: np.ndarray, chain: SerialChain) -> StackedMLP:
+    """The network of the median seed, found without the recording's code."""
+    reached = chain.forward_mm(cell.network.predict(targets_mm))
+    means = np.linalg.norm(reached - targets_mm, axis=-1).mean(axis=1).tolist()
+    return cell.network.select(means.index(statistics.median_low(means)))
+
+
+def test_tool_goes_where_the_network_sends_it(
+    small: Study, results: list[Cell], chain: SerialChain, heart: Path
+) -> None:
+    targets = waypoints_mm(small.evaluation.paths["heart"])
+    for cell in results:
+        network = shown_network(cell, targets, chain)
+        reached = chain.forward_mm(network.predict(targets)[0])
+        tool = read(heart, f"/tool/{cell.label}", "Points3D:positions", "waypoint")
+        assert list(tool) == list(range(30))
+        np.testing.assert_allclose(np.squeeze(list(tool.values())), reached / 1000, atol=1e-6)
+        error = read(heart, f"/error/waypoint/{cell.label}", "Scalars:scalars", "waypoint")
+        np.testing.assert_allclose(
+            np.squeeze(list(error.values())), np.linalg.norm(reached - targets, axis=1)
+        )
+        [samples] = read(heart, f"/samples/{cell.label}", "Points3D:positions", None).values()
+        np.testing.assert_allclose(samples, cell.samples.positions_mm / 1000, atol=1e-6)
+    [target] = read(heart, "/path/target", "LineStrips3D:strips", None).values()
+    np.testing.assert_allclose(target[0], targets / 1000, atol=1e-6)
+
+
+def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
+    small: Study, results: list[Cell], chain: SerialChain, heart: Path
+) -> None:
+    targets = waypoints_mm(small.evaluation.paths["heart"])
+    joints = shown_network(results[-1], targets, chain).predict(targets)[0]
+    assert not np.all(chain.within_limits(joints))  # which the viewer would clamp by default
+    frames = {}
+    for name in chain.joint_names:
+        entity = f"/robot/joints/{name}"
+        moves = read(heart, entity, "Transform3D:translation", "waypoint")
+        turns = read(heart, entity, "Transform3D:quaternion", "waypoint")
+        frames[name] = [
+            (np.squeeze(moves[time]), Rotation.from_quat(np.squeeze(turns[time])))
+            for time in range(len(targets))
+        ]
+    tool = read(heart, f"/tool/{results[-1].label}", "Points3D:positions", "waypoint")
+    for time in range(len(targets)):
+        point = np.array([0.0, 0.0, 0.07])  # the tool in the forearm's frame, from the URDF
+        for name in reversed(chain.joint_names):
+            shift, turn = frames[name][time]
+            point = shift + turn.apply(point)
+        np.testing.assert_allclose(point, tool[time][0], atol=1e-6)
+
+
+def test_training_is_replayed_up_to_the_final_path(
+    small: Study, results: list[Cell], chain: SerialChain, heart: Path
+) -> None:
+    targets = waypoints_mm(small.evaluation.paths["heart"])
+    for cell in results:
+        entity = f"/path/reached/{cell.label}"
+        learning = read(heart, entity, "LineStrips3D:strips", "epoch")
+        final = read(heart, entity, "LineStrips3D:strips", "waypoint")
+        assert list(learning) == EPOCHS.tolist()
+        assert list(final) == [0]
+        assert learning[40] == final[0]
+        assert learning[1] != learning[2]
+        errors = read(heart, f"/error/epoch/{cell.label}", "Scalars:scalars", "epoch")
+        for epoch, [strip] in learning.items():
+            distance_mm = np.linalg.norm(1000 * np.array(strip) - targets, axis=1)
+            assert errors[epoch][0] == pytest.approx(distance_mm.mean(), rel=1e-5)
+
+
+def test_rectangles_are_two_strips(small: Study, results: list[Cell], tmp_path: Path) -> None:
+    file = tmp_path / "rectangles.rrd"
+    record_path(small, "rectangles", results, file)
+    [target] = read(file, "/path/target", "LineStrips3D:strips", None).values()
+    assert [len(strip) for strip in target] == [20, 20]
+    assert all(len({z for *_, z in strip}) == 1 for strip in target)
+    for strips in read(file, "/path/reached/grid3", "LineStrips3D:strips", "epoch").values():
+        assert [len(strip) for strip in strips] == [20, 20]
+
+
+def test_layout_travels_with_the_file(heart: Path) -> None:
+    reader = RrdReader(heart)
+    assert len(reader.blueprints()) == 1
+    [recording] = reader.recordings()
+    assert recording.recording_id == "small-heart"
+    [[text]] = read(heart, "/about", "TextDocument:text", None).values()
+    for said in ("heart", "seed shown", "waypoint", "epoch", "metres", "27 samples"):
+        assert said in text
+    assert heart.stat().st_size < 1_000_000
+
+
+def test_two_recordings_of_the_same_results_are_the_same(
+    small: Study, results: list[Cell], heart: Path, tmp_path: Path
+) -> None:
+    again, other = tmp_path / "again.rrd", tmp_path / "other.rrd"
+    record_path(small, "heart", results, again)
+    record_path(small, "heart", results[1:], other)
+
+    def same(file: Path) -> bool:
+        rerun = str(Path(sys.executable).with_name("rerun"))
+        call = [rerun, "rrd", "compare", "--unordered", str(heart), str(file)]
+        return subprocess.run(call, capture_output=True, check=False).returncode == 0
+
+    assert same(again)
+    assert not same(other)
+
+
+def test_long_paths_and_trainings_are_thinned(
+    small: Study, results: list[Cell], chain: SerialChain, tmp_path: Path
+) -> None:
+    settings = small.model_dump(mode="json")
+    settings["evaluation"]["paths"]["heart"]["waypoints"] = 2001
+    long = parse_study(settings)
+    track_paths(long, chain, results[1].network).to_parquet(results[1].folder / "waypoints.parquet")
+    file = tmp_path / "long.rrd"
+    record_path(long, "heart", results[1:], file)
+    tool = read(file, "/tool/grid3", "Points3D:positions", "waypoint")
+    assert list(tool) == list(range(0, 2001, 4))
+    [[strip]] = read(file, "/path/reached/grid3", "LineStrips3D:strips", "waypoint").values()
+    np.testing.assert_array_equal(strip, np.squeeze(list(tool.values())))
+
+    snapshots = {
+        "layers.0.weight": np.arange(200, dtype="float32").reshape(200, 1, 1, 1),
+        "layers.0.bias": np.zeros((200, 1, 1), "float32"),
+        "epochs": np.arange(1, 201),
+        "offset_mm": np.zeros(1),
+        "scale_mm": np.ones(1),
+    }
+    save_file(snapshots, tmp_path / "s", {"activation": '"relu"', "seeds": "[9]"})
+    epochs, networks = networks_over_epochs(tmp_path / "s", 9)
+    assert len(epochs) == MAX_EPOCHS
+    assert (epochs[0], epochs[-1]) == (1, 200)
+    np.testing.assert_array_equal(networks.weights[0].ravel(), epochs - 1)
+
+
+def test_a_diverged_grid_is_left_out_and_named(
+    small: Study, results: list[Cell], tmp_path: Path
+) -> None:
+    table = results[1].table("waypoints")
+    table.loc[table["seed"] != 4, ["q_yaw_rad", "reached_x_mm", "error_mm"]] = np.nan
+    table.to_parquet(results[1].folder / "waypoints.parquet")
+    file = tmp_path / "heart.rrd"
+    record_path(small, "heart", results, file)
+    assert not read(file, "/tool/grid3", "Points3D:positions", "waypoint")
+    [[text]] = read(file, "/about", "TextDocument:text", None).values()
+    assert "diverged: 27 samples" in text
+    with pytest.raises(IksamplesError, match="diverged"):
+        record_path(small, "heart", results[1:], tmp_path / "none.rrd")
+
+
+def test_an_unknown_path_leaves_no_file(small: Study, results: list[Cell], tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with pytest.raises(IksamplesError, match="path 'star' was not evaluated"):
+        record_path(small, "star", results, tmp_path / "out" / "star.rrd")
+    assert not list((tmp_path / "out").iterdir())
+
+
+@given(st.lists(st.floats(0, 100), min_size=1, max_size=9, unique=True), st.randoms())
+def test_median_seed(means: list[float], random: object) -> None:
+    table = pd.DataFrame(
+        [(10 + seed, mean + shift) for seed, mean in enumerate(means) for shift in (-1.0, 1.0)],
+        columns=["seed", "error_mm"],
+    )
+    means = [float(np.mean([mean - 1.0, mean + 1.0])) for mean in means]
+    assert means[median_seed(table) - 10] == statistics.median_low(means)
+
+
+def test_paths_break_only_where_they_jump(study: Study) -> None:
+    paths = study.evaluation.paths
+    assert path_breaks(waypoints_mm(paths["rectangles"])) == [120]
+    assert path_breaks(waypoints_mm(paths["heart"])) == []
+    coarse = paths["rectangles"].model_copy(update={"waypoints": 9})
+    assert path_breaks(waypoints_mm(coarse)) == [4]
+
+
+def test_blues_darken() -> None:
+    shades = blues(7)
+    assert len(set(shades)) == 7
+    brightness = [sum(shade) for shade in shades]
+    assert brightness == sorted(brightness, reverse=True)
+    assert all(blue > max(red, green) for red, green, blue in shades)
+    assert len(blues(1)) == 1

@@ -1,0 +1,237 @@
+"""Training itself: the arithmetic, early stopping, and that seeds do not touch each other."""
+
+import numpy as np
+import pytest
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.callbacks import ModelCheckpoint
+from torch import nn
+
+from iksamples.study import Study, parse_study
+from iksamples.training import reference
+from iksamples.training.initial import initial_weights
+from iksamples.training.module import fit
+from iksamples.training.network import ACTIVATIONS, StackedMLP
+from iksamples.training.problem import Problem
+from iksamples.training.record import Record, stack
+from iksamples.training.shuffle import permutations
+
+
+def make_problem(
+    seeds=range(4), n=21, hidden=(7,), activation="relu", check=9, rows=None, **training
+) -> Problem:
+    """A problem on made-up smooth data, with the same validation points for every seed."""
+    generator = np.random.default_rng(5)
+    points = generator.random((n + check, 3))
+    targets = np.stack([np.sin(points.sum(1)), points[:, 0] * points[:, 1], -points[:, 2]], 1)
+    settings: Study = parse_study({"name": "x", "training": {"snapshots": 6, **training}})
+    table = np.broadcast_to(np.arange(n + check, dtype=np.int32), (len(seeds), n + check))
+    return Problem(
+        tuple(seeds),
+        (3, *hidden, 3),
+        activation,
+        points.astype(np.float32),
+        targets.astype(np.float32),
+        table[:, :n] if rows is None else rows,
+        table[:, n:],
+        table[:, :0],
+        settings.training,
+    )
+
+
+def same(one: Record, other: Record, *names: str) -> None:
+    """Asserts equality to the last bit."""
+    for name in names or ("parameters", "history", "snapshots", "best_epoch", "stopped"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+SHAPES = [
+    {"hidden": (16,), "n": 21, "batch_size": 8, "epochs": 6},
+    {"hidden": (16,), "n": 17, "batch_size": 8, "epochs": 6, "activation": "tanh"},
+    {"hidden": (9, 17), "n": 11, "batch_size": 3, "epochs": 5, "activation": "gelu"},
+    {"hidden": (17, 5), "n": 11, "batch_size": 3, "epochs": 5, "activation": "sigmoid"},
+    {"hidden": (10,), "n": 1, "batch_size": 8, "epochs": 9, "activation": "elu"},
+    {"hidden": (50, 50), "n": 27, "batch_size": 9, "epochs": 4, "activation": "tanh"},
+    {"hidden": (), "n": 8, "batch_size": 8, "epochs": 9},
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_a_seed_is_the_same_to_the_last_bit_alone_and_among_many(shape):
+    many = fit(make_problem(range(100), **shape))
+    for seeds in ([0], [99], [41], [99, 3, 40, 8, 2, 77, 5], range(20)):
+        same(fit(make_problem(seeds, **shape)), many.select(seeds))
+
+
+def test_training_equals_a_plain_torch_loop():
+    problem = make_problem([3, 8], hidden=(7, 5), activation="tanh", epochs=12, batch_size=8)
+    record = fit(problem)
+    for row, seed in enumerate(problem.seeds):
+        torch.manual_seed(0)
+        net = nn.Sequential(nn.Linear(3, 7), nn.Tanh(), nn.Linear(7, 5), nn.Tanh(), nn.Linear(5, 3))
+        kernels, _ = initial_weights(problem.sizes, [seed])
+        with torch.no_grad():
+            for linear, kernel in zip(net[::2], kernels, strict=True):
+                linear.weight.copy_(torch.from_numpy(kernel[0].T))
+                linear.bias.zero_()
+        adam = torch.optim.Adam(net.parameters(), lr=1e-3, eps=1e-7)
+        x, y = torch.from_numpy(problem.inputs), torch.from_numpy(problem.targets)
+        for epoch in range(1, 13):
+            losses = []
+            for chosen in np.split(permutations([seed], [epoch], 21)[0, 0], [8, 16]):
+                loss = nn.functional.mse_loss(net(x[chosen]), y[chosen])
+                adam.zero_grad()
+                loss.backward()
+                adam.step()
+                losses.append(loss.item() * len(chosen))
+            check = nn.functional.mse_loss(net(x[21:]), y[21:]).item()
+            entries = torch.cat([linear.weight.flatten() for linear in net[::2]])
+            expected = [
+                sum(losses) / 21,
+                check,
+                *(
+                    value.item()
+                    for value in (entries.mean(), entries.abs().mean(), entries.abs().max())
+                ),
+            ]
+            np.testing.assert_allclose(record.history[:, epoch - 1, row], expected, rtol=2e-5)
+        weights = [
+            part.detach().numpy() for linear in net[::2] for part in (linear.weight.T, linear.bias)
+        ]
+        expected = np.concatenate([part.ravel() for part in weights])
+        np.testing.assert_allclose(record.parameters[row], expected, atol=2e-6)
+
+
+def test_adam_by_hand():
+    flat = nn.Parameter(torch.tensor([[1.0, 2.0]]))
+    adam = reference.StackedAdam(flat, learning_rate=0.1)
+    adam.update(torch.tensor([[0.5, -2.0]]), 1)
+    # Step 1: the corrected moments are g and g^2, so each parameter moves by 0.1 against its sign.
+    np.testing.assert_allclose(flat.detach(), [[0.9, 2.1]], rtol=1e-6)
+    adam.update(torch.tensor([[0.5, 0.0]]), 2)
+    # Step 2, second parameter: m = -0.2 * 0.9 = -0.18, v = 0.004 * 0.999 = 0.003996,
+    # m / (1 - 0.81) = -0.947368, v / (1 - 0.998001) = 1.998999,
+    # 0.1 * 0.947368 / 1.413859 = 0.067006
+    np.testing.assert_allclose(flat.detach(), [[0.8, 2.167006]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
+def test_network_and_gradient_agree_with_the_numpy_network(activation, rng):
+    kernels, biases = initial_weights((3, 6, 4, 2), [1, 2])
+    biases = [rng.normal(size=bias.shape).astype(np.float32) for bias in biases]
+    x = rng.normal(size=(5, 3))
+    network = StackedMLP(kernels, tuple(biases), activation, np.zeros(3), np.ones(3), (1, 2))
+    flat = torch.from_numpy(stack(kernels, biases)).double().requires_grad_()
+
+    def outputs(flat: torch.Tensor) -> torch.Tensor:
+        layers = list(reference.layers(flat, (3, 6, 4, 2)))
+        return reference.forward(layers, activation, torch.from_numpy(x).expand(2, 5, 3))
+
+    np.testing.assert_allclose(outputs(flat).detach(), network.predict(x), atol=1e-12)
+    assert torch.autograd.gradcheck(outputs, flat)
+
+
+def keras_stop(losses, patience, min_delta):
+    """Last epoch and best epoch by the rule of Keras' EarlyStopping."""
+    best, best_epoch, waited = np.inf, 0, 0
+    for epoch, loss in enumerate(losses, 1):
+        waited += 1
+        if loss < best - min_delta:
+            best, best_epoch, waited = loss, epoch, 0
+        elif waited >= patience:
+            return epoch, best_epoch
+    return len(losses), best_epoch
+
+
+@pytest.mark.parametrize("restore", [False, True])
+def test_early_stopping_acts_on_each_seed_by_itself(restore):
+    stopping = {"patience": 3, "min_delta_rad2": 2e-3, "restore_best": restore}
+    shape = {"hidden": (16,), "epochs": 60, "learning_rate": 0.03}
+    free = fit(make_problem(range(8), **shape))
+    record = fit(make_problem(range(8), **shape, early_stopping=stopping))
+    ends = [keras_stop(free.history[1, :, i], 3, np.float32(2e-3)) for i in range(8)]
+    assert len({end for end, _ in ends}) > 3
+    assert min(end for end, _ in ends) < 60
+    for i, (end, best) in enumerate(ends):
+        assert record.stopped[i] == (end if end < 60 else 0)
+        assert record.best_epoch[i] == best
+        np.testing.assert_array_equal(record.history[:, :end, i], free.history[:, :end, i])
+        assert np.isnan(record.history[:, end:, i]).all()
+        # A run that ends where the seed was stopped ends with the same weights.
+        shorter = fit(make_problem([i], **(shape | {"epochs": best if restore else end})))
+        np.testing.assert_array_equal(record.parameters[i], shorter.parameters[0])
+        np.testing.assert_array_equal(record.snapshots[-1, i], record.parameters[i])
+
+
+def test_without_validation_points_nothing_stops():
+    stopping = {"patience": 1, "min_delta_rad2": 1.0}
+    record = fit(make_problem(check=0, epochs=5, early_stopping=stopping))
+    assert not record.stopped.any()
+    assert np.isnan(record.history[1]).all()
+    assert np.isfinite(record.history[[0, 2, 3, 4]]).all()
+
+
+def test_a_seed_that_diverges_leaves_the_others_alone():
+    seeds, n = range(5), 21
+    rows = np.tile(np.arange(n, dtype=np.int32), (5, 1))
+    rows[2, 4] = n  # a row of the table that only this seed learns from
+    problem = make_problem(seeds, rows=rows, epochs=6, check=3)
+    problem.inputs[n] = 3e38
+    record = fit(problem)
+    assert not np.isfinite(record.parameters[2]).any()
+    others = [0, 1, 3, 4]
+    clean = fit(make_problem(seeds, rows=np.tile(rows[:1], (5, 1)), epochs=6, check=3))
+    same(record.select(others), clean.select(others), "parameters", "snapshots")
+    np.testing.assert_array_equal(record.history[0][:, others], clean.history[0][:, others])
+
+
+@pytest.mark.parametrize("per_block", [1, 7])
+def test_result_does_not_depend_on_the_size_of_blocks(per_block):
+    stopping = {"patience": 4, "min_delta_rad2": 1e-3}
+    problem = make_problem(epochs=20, learning_rate=0.02, early_stopping=stopping)
+    same(fit(problem, epochs_per_block=per_block), fit(problem))
+
+
+@pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint")
+def test_resume_from_a_lightning_checkpoint_equals_one_run(tmp_path):
+    stopping = {"patience": 5, "min_delta_rad2": 1e-3, "restore_best": True}
+    problem = make_problem(epochs=30, learning_rate=0.02, early_stopping=stopping)
+    whole = fit(
+        problem,
+        callbacks=[ModelCheckpoint(tmp_path, filename="{epoch}", save_top_k=-1)],
+        epochs_per_block=6,
+        enable_checkpointing=True,
+    )
+    assert len(list(tmp_path.iterdir())) >= 3
+    resumed = fit(problem, epochs_per_block=6, resume_from=str(tmp_path / "epoch=1.ckpt"))
+    same(resumed, whole)
+    assert not np.array_equal(whole.parameters, fit(make_problem(epochs=12)).parameters)
+
+
+def test_callbacks_and_logged_values_are_lightnings():
+    class Listener(pl.Callback):
+        def __init__(self):
+            self.seen = []
+
+        def on_train_epoch_end(self, trainer, module):
+            metrics = trainer.callback_metrics
+            self.seen.append(
+                (trainer.global_step, metrics["train_loss"], metrics["validation_loss"])
+            )
+
+    listener = Listener()
+    record = fit(make_problem(epochs=20), callbacks=[listener], epochs_per_block=8)
+    steps, train, check = zip(*listener.seen, strict=True)
+    assert steps == (1, 2, 3)
+    ends = [7, 15, 19]
+    np.testing.assert_allclose(train, record.history[0, ends].mean(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(check, record.history[1, ends].mean(axis=1), rtol=1e-6)
+
+
+def test_snapshots_begin_with_the_initial_and_end_with_the_final_weights(study, chain):
+    problem = make_problem(epochs=40)
+    record = fit(problem)
+    np.testing.assert_array_equal(record.snapshots[0], stack(*initial_weights((3, 7, 3), range(4))))
+    np.testing.assert_array_equal(record.snapshots[-1], record.parameters)
+    middle = int(record.snapshot_epochs[3])
+    np.testing.assert_array_equal(record.snapshots[3], fit(make_problem(epochs=middle)).parameters)

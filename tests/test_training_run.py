@@ -1,0 +1,204 @@
+"""The training step as a whole: its files read back, and its cache."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file
+
+from iksamples.samples.dataset import grid_samples
+from iksamples.study import parse_study
+from iksamples.training import run
+from iksamples.training.network import StackedMLP
+from iksamples.training.problem import pose_problem
+
+
+FILES = ("weights.safetensors", "snapshots.safetensors", "history.parquet", "members.parquet")
+
+
+def make_study(**training):
+    settings = {"epochs": 12, "seeds": 3, "snapshots": 5, **training}
+    return parse_study({"name": "x", "network": {"hidden": [6]}, "training": settings})
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """The seeds that were really trained, one list per fit."""
+    fits, fit = [], run._fit
+
+    def listen(study, samples, seeds, *rest):
+        fits.append((samples.label, list(seeds)))
+        return fit(study, samples, seeds, *rest)
+
+    monkeypatch.setattr(run, "_fit", listen)
+    return fits
+
+
+def contents(folder):
+    """Everything in the four files, to the last bit (safetensors writes metadata in any order)."""
+    found = {}
+    for name in FILES:
+        path = folder / name
+        if path.suffix == ".parquet":
+            found[name] = path.read_bytes()
+            continue
+        with safe_open(path, "numpy") as file:
+            found[name] = file.metadata() | {
+                key: file.get_tensor(key).tobytes() for key in sorted(file.keys())
+            }
+    return found
+
+
+@pytest.mark.parametrize("source", ["fresh", "grid"])
+def test_files_agree_with_each_other_and_with_the_samples(tmp_path, chain, source):
+    study = make_study(first_seed=4, held_out={"source": source, "test_share": 0.1})
+    sets = [grid_samples(study, chain, m) for m in (2, 3)]
+    folders = [tmp_path / "a", tmp_path / "b"]
+    run.train(study, sets, folders)
+    for samples, folder in zip(sets, folders, strict=True):
+        assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+        network = StackedMLP.load(folder / "weights.safetensors")
+        assert network.seeds == (4, 5, 6)
+        np.testing.assert_array_equal(network.scale_mm, samples.scale_mm)
+
+        members = pd.read_parquet(folder / "members.parquet")
+        problem = pose_problem(study, samples, study.seeds)
+        n, steps = problem.n_train, -(-problem.n_train // 8)
+        counts = members[["n_trained", "n_validation", "n_test", "epochs_run", "steps"]]
+        kinds = [problem.validation_rows.shape[1], problem.test_rows.shape[1]]
+        assert (counts == [n, *kinds, 12, 12 * steps]).all(axis=None)
+        if source == "grid":
+            assert (counts.iloc[:, :3].sum(axis=1) == samples.n_samples).all()
+        else:
+            assert n == samples.n_samples
+        assert members.seed.tolist() == [4, 5, 6]
+        assert not members.diverged.any()
+
+        mm = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+        joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
+        for i in range(3):
+            for kind in ("train", "validation", "test"):
+                rows = getattr(problem, f"{kind}_rows")[i]
+                loss = (
+                    np.mean((network.predict(mm[rows])[i] - joints[rows]) ** 2)
+                    if len(rows)
+                    else np.nan
+                )
+                np.testing.assert_allclose(members[f"{kind}_loss_rad2"][i], loss, rtol=1e-12)
+
+        history = pd.read_parquet(folder / "history.parquet")
+        assert history.groupby("seed").epoch.apply(list).tolist() == [list(range(1, 13))] * 3
+        last = history[history.epoch == 12]
+        np.testing.assert_allclose(
+            last.validation_loss_rad2, members.validation_loss_rad2, rtol=1e-4
+        )
+        entries = np.concatenate([w.reshape(3, -1) for w in network.weights], axis=1)
+        np.testing.assert_allclose(last.weight_mean_abs, np.abs(entries).mean(axis=1), rtol=1e-6)
+        assert (
+            history.groupby("seed").train_loss_rad2.apply(lambda x: x.iloc[-1] < x.iloc[0])
+        ).all()
+
+        snapshots = load_file(folder / "snapshots.safetensors")
+        assert snapshots["epochs"].tolist()[0] == 0
+        assert snapshots["epochs"].tolist()[-1] == 12
+        for depth, weight in enumerate(network.weights):
+            kept = snapshots[f"layers.{depth}.weight"]
+            assert kept.shape == (len(snapshots["epochs"]), *weight.shape)
+            np.testing.assert_array_equal(kept[-1], weight)
+        with safe_open(folder / "snapshots.safetensors", "numpy") as file:
+            assert json.loads(file.metadata()["seeds"]) == [4, 5, 6]
+
+
+def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, chain, trained):
+    cache = tmp_path / "cache"
+    study = make_study()
+    two, three = (grid_samples(study, chain, m) for m in (2, 3))
+    run.train(study, [two], [tmp_path / "2"], cache)
+    run.train(study, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    more = make_study(seeds=5)
+    run.train(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    assert trained == [
+        ("grid2", [0, 1, 2]),
+        ("grid3", [0, 1, 2]),
+        ("grid2", [3, 4]),
+        ("grid3", [3, 4]),
+    ]
+    run.train(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    assert len(trained) == 4
+    run.train(more, [two, three], [tmp_path / "new2", tmp_path / "new3"])
+    for m in (2, 3):
+        assert contents(tmp_path / f"new{m}") == contents(tmp_path / f"{m}")
+    assert len(list(cache.rglob("*.safetensors"))) == 2
+
+
+def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, chain, trained):
+    cache = tmp_path / "cache"
+    two, three = (grid_samples(make_study(), chain, m) for m in (2, 3))
+    run.train(make_study(), [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    run.train(make_study(seeds=2), [three], [tmp_path / "3"], cache)
+    (kept,) = cache.rglob("*.safetensors")
+    assert load_file(kept)["seeds"].tolist() == [0, 1]
+    assert len(trained) == 2
+    run.train(make_study(seeds=2, learning_rate=0.01), [three], [tmp_path / "3"], cache)
+    assert trained[2:] == [("grid3", [0, 1])]
+
+
+def test_a_damaged_cache_file_is_trained_again(tmp_path, chain, trained):
+    cache, out = tmp_path / "cache", tmp_path / "out"
+    samples = grid_samples(make_study(), chain, 2)
+    run.train(make_study(), [samples], [out], cache)
+    before = contents(out)
+    (file,) = cache.rglob("*.safetensors")
+    file.write_bytes(file.read_bytes()[:100])
+    run.train(make_study(), [samples], [out], cache)
+    assert len(trained) == 2
+    assert contents(out) == before
+    run.train(make_study(), [samples], [out], cache)
+    assert len(trained) == 2
+
+
+def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, chain, trained, monkeypatch):
+    cache, study = tmp_path / "cache", make_study()
+    sets = [grid_samples(study, chain, m) for m in (2, 3)]
+    folders = [tmp_path / "2", tmp_path / "3"]
+    monkeypatch.setattr(run, "SEEDS_AT_ONCE", 2)
+    fit = run._fit
+
+    def break_off(study, samples, seeds, *rest):
+        if (samples.label, list(seeds)) == ("grid3", [2]):
+            raise KeyboardInterrupt
+        return fit(study, samples, seeds, *rest)
+
+    monkeypatch.setattr(run, "_fit", break_off)
+    with pytest.raises(KeyboardInterrupt):
+        run.train(study, sets, folders, cache)
+    assert not folders[1].exists()
+    monkeypatch.setattr(run, "_fit", fit)
+    run.train(study, sets, folders, cache)
+    assert trained == [("grid2", [0, 1]), ("grid2", [2]), ("grid3", [0, 1]), ("grid3", [2])]
+    run.train(study, sets, [tmp_path / "n2", tmp_path / "n3"])
+    for m in (2, 3):
+        assert contents(tmp_path / f"n{m}") == contents(tmp_path / f"{m}")
+
+
+def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, chain, capsys):
+    study = make_study(seeds=2, epochs=2)
+    samples = grid_samples(study, chain, 2)
+    run.train(study, [samples], [tmp_path], progress=True)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("grid2: 8 samples, 2 seeds, 2 epochs, ")
+    assert err.count("\n") == 1
+    run.train(study, [samples], [tmp_path])
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_diverged_seed_is_a_row_that_says_so(tmp_path, chain):
+    study = make_study(epochs=3)
+    samples = grid_samples(study, chain, 2)
+    samples.joints[:] = 1e30  # its square is beyond single precision
+    run.train(study, [samples], [tmp_path])
+    assert pd.read_parquet(tmp_path / "members.parquet").diverged.all()
+    assert len(pd.read_parquet(tmp_path / "history.parquet")) == 9
