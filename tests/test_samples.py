@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from iksamples.errors import IksamplesError
-from iksamples.samples.dataset import SampleSet, grid_samples, region_points
+from iksamples.samples.dataset import SampleSet, grid_samples, record_samples, region_points
 from iksamples.samples.designs import (
     fill_distance_mm,
     full_grid,
@@ -99,6 +99,46 @@ def test_region_points_are_the_same_every_time_and_hold_the_corners(study, chain
     corners = {tuple(corner) for corner in full_grid((20, 20, 0), (80, 80, 60), 2)}
     assert corners <= {tuple(point) for point in points}
     assert len(points) == 108
+
+
+@pytest.mark.parametrize("design", ["chebyshev", "sobol", "latin", "uniform", "joints"])
+def test_every_design_gives_as_many_samples_inside_the_workspace(study, chain, design):
+    samples = record_samples(study, chain, design, 4)
+    assert samples.label == {"chebyshev": "chebyshev4"}.get(design, f"{design}64")
+    assert samples.n_samples == 64
+    assert (samples.positions_mm >= (20, 20, 0)).all()
+    assert (samples.positions_mm <= (80, 80, 60)).all()
+    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.positions_mm, atol=1e-9)
+    again = record_samples(study, chain, design, 4)
+    assert again.digest() == samples.digest()
+    other = parse_study({"name": "x", "samples": {"seed": 1}})
+    random = design != "chebyshev"
+    assert (record_samples(other, chain, design, 4).digest() != samples.digest()) == random
+
+
+def test_chebyshev_nodes_are_those_of_numpy(study, chain):
+    samples = record_samples(study, chain, "chebyshev", 5)
+    nodes = np.polynomial.chebyshev.chebpts1(5)
+    for axis, low in enumerate((20, 20, 0)):
+        np.testing.assert_allclose(
+            np.unique(samples.positions_mm[:, axis].round(9)), (low + 30 + 30 * nodes).round(9)
+        )
+
+
+def test_latin_hypercube_has_one_point_in_each_slice(study, chain):
+    samples = record_samples(study, chain, "latin", 3)
+    slices = np.floor((samples.positions_mm - (20, 20, 0)) / 60 * 27).astype(int)
+    for column in slices.T:
+        assert sorted(column) == list(range(27))
+
+
+def test_joint_space_samples_follow_the_arm_not_the_box(study, chain):
+    """Uniform in the joints is denser in space where the Jacobian's determinant is smaller."""
+    samples = record_samples(study, chain, "joints", 8)
+    low, high = np.percentile(np.abs(np.linalg.det(chain.jacobian_mm(samples.joints))), [5, 95])
+    even = record_samples(study, chain, "uniform", 8)
+    low_even = np.percentile(np.abs(np.linalg.det(chain.jacobian_mm(even.joints))), 5)
+    assert low < low_even < high
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):

@@ -31,7 +31,7 @@ BAD = [
         "unknown key 'training.early_stopping.patienc'; known keys here: patience,",
     ),
     ({"name": "x", "samples": {"points_per_axis": [1]}}, "'samples.points_per_axis.0' should be g"),
-    ({"name": "x", "samples": {"points_per_axis": [3, 3]}}, "each grid once"),
+    ({"name": "x", "samples": {"points_per_axis": [3, 3]}}, "should name each size once"),
     (
         {"name": "x", "workspace": {"lower_mm": [90, 0, 0]}},
         "'workspace' upper_mm must be greater than lower_mm along every axis",

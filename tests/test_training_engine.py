@@ -104,11 +104,11 @@ def test_training_equals_a_plain_torch_loop():
 
 def test_adam_by_hand():
     flat = nn.Parameter(torch.tensor([[1.0, 2.0]]))
-    adam = reference.StackedAdam(flat, learning_rate=0.1)
-    adam.update(torch.tensor([[0.5, -2.0]]), 1)
+    adam, rate = reference.StackedAdam(flat), torch.tensor([0.1])
+    adam.update(torch.tensor([[0.5, -2.0]]), 1, rate)
     # Step 1: the corrected moments are g and g^2, so each parameter moves by 0.1 against its sign.
     np.testing.assert_allclose(flat.detach(), [[0.9, 2.1]], rtol=1e-6)
-    adam.update(torch.tensor([[0.5, 0.0]]), 2)
+    adam.update(torch.tensor([[0.5, 0.0]]), 2, rate)
     # Step 2, second parameter: m = -0.2 * 0.9 = -0.18, v = 0.004 * 0.999 = 0.003996,
     # m / (1 - 0.81) = -0.947368, v / (1 - 0.998001) = 1.998999,
     # 0.1 * 0.947368 / 1.413859 = 0.067006

@@ -52,41 +52,44 @@ MethodFolder = Annotated[
 @app.command()
 def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
+    from iksamples.results import networks, sample_sets
     from iksamples.robot.workspace import reach
-    from iksamples.samples.dataset import region_points
-    from iksamples.samples.designs import full_grid
+    from iksamples.samples.dataset import record_samples, region_points
 
     study, chain = _open(study_file)
     _require_feasible(study, chain)
-    box = study.workspace
     typer.echo(
         f"{study.name}: valid; digest {study.digest()}, joints {', '.join(chain.joint_names)}"
     )
-    for m in study.samples.points_per_axis:
-        summary = reach(study, chain, full_grid(box.lower_mm, box.upper_mm, m)).summary()
-        typer.echo(f"  grid{m}: " + _in_words(summary))
+    sets = sample_sets(study)
+    for label, (design, m) in sets.items():
+        recorded = record_samples(study, chain, design, m)
+        masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
+        typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
     points = region_points(study, chain, study.evaluation.cube_points)
     typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()))
-    networks = study.training.seeds * len(study.samples.points_per_axis)
-    typer.echo(f"  {networks} networks to train, at most {study.training.epochs} epochs each")
+    trained = len(networks(study)) * len(sets) * study.training.seeds
+    typer.echo(f"  {trained} networks to train")
 
 
 @app.command()
 def samples(
     study_file: StudyFile,
-    points_per_axis: Annotated[
-        int, typer.Option("--points-per-axis", "-m", min=2, help="m: the grid has m^3 points.")
-    ],
+    name: Annotated[str, typer.Option(help="Which set of samples, such as grid5 or sobol125.")],
     output: Output,
 ) -> None:
-    """Record one grid of samples: positions and the joint angles that reach them."""
-    from iksamples.samples.dataset import grid_samples
+    """Record one set of samples: positions and the joint angles that reach them."""
+    from iksamples.results import sample_sets
+    from iksamples.samples.dataset import record_samples
 
     study, chain = _open(study_file)
     # All of the study, not only this grid: whatever cannot be done is known before training.
     _require_feasible(study, chain)
+    sets = sample_sets(study)
+    if name not in sets:
+        raise IksamplesError(f"{study_file}: no samples '{name}'; there are {', '.join(sets)}.")
     with _whole(output) as file:
-        grid_samples(study, chain, points_per_axis).save(file)
+        record_samples(study, chain, *sets[name]).save(file)
 
 
 @app.command()
@@ -158,6 +161,22 @@ def table(study_file: StudyFile, results: Results, output: Output) -> None:
 
 
 @app.command()
+def track(
+    study_file: StudyFile,
+    results: Results,
+    output: Annotated[Path, typer.Option("--output", "-o", help="What was logged (JSON).")],
+) -> None:
+    """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
+    from iksamples.results import cells
+    from iksamples.study import read_study
+    from iksamples.tracking.track import track as log_study
+
+    study = read_study(study_file)
+    with _whole(output) as file:
+        log_study(study, cells(study, results), results / "table.csv", file)
+
+
+@app.command()
 def record(
     study_file: StudyFile,
     path: Annotated[str, typer.Option(help="Which of the study's paths.")],
@@ -179,12 +198,15 @@ def report(
     study_file: StudyFile,
     results: Results,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
+    command: Annotated[
+        str, typer.Option(help="What the report says to type to run the study.")
+    ] = "snakemake --cores 2",
 ) -> None:
     """Build the report: one page that opens offline, and a Markdown twin."""
     from iksamples.report.write import write_report
     from iksamples.study import read_study
 
-    write_report(read_study(study_file), results, output)
+    write_report(read_study(study_file), results, output, command)
 
 
 @app.command()
@@ -218,10 +240,11 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
 def _require_feasible(study: "Study", chain: "SerialChain") -> None:
     """Everything that can be known to fail before a sample is taken."""
     from iksamples.evaluation.paths import require_reachable
-    from iksamples.samples.dataset import grid_samples, region_points
+    from iksamples.results import sample_sets
+    from iksamples.samples.dataset import record_samples, region_points
 
-    for m in study.samples.points_per_axis:
-        grid_samples(study, chain, m)
+    for design, m in sample_sets(study).values():
+        record_samples(study, chain, design, m)
     region_points(study, chain, study.evaluation.cube_points)
     require_reachable(study, chain)
 

@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from iksamples.samples.dataset import SampleSet
-from iksamples.study import NETWORK, Study
+from iksamples.samples.dataset import SampleSet, sample_label
+from iksamples.study import NETWORK, Design, Study
 from iksamples.training.network import StackedMLP
 
 
@@ -56,9 +56,18 @@ class Cell:
         return pd.read_parquet(self.folder / f"{name}.parquet")
 
 
-def labels(study: Study) -> list[str]:
-    """Names of the study's sets of samples, smallest first."""
-    return [f"grid{m}" for m in study.samples.points_per_axis]
+def sample_sets(study: Study, design: Design | None = None) -> dict[str, tuple[Design, int]]:
+    """Every set of samples of a study, smallest first: its name -> design and points per axis.
+
+    Args:
+        study: The study.
+        design: Only the sets of this design; None: of all.
+    """
+    return {
+        sample_label(kind, m): (kind, m)
+        for kind in ([design] if design else study.samples.designs)
+        for m in study.samples.points_per_axis
+    }
 
 
 def networks(study: Study) -> list[str]:
@@ -66,7 +75,9 @@ def networks(study: Study) -> list[str]:
     return [name for name, method in study.all_methods.items() if method.kind == "network"]
 
 
-def cells(study: Study, results: str | Path, method: str = NETWORK) -> Iterator[Cell]:
-    """A method on every set of samples of a study."""
-    for label in labels(study):
+def cells(
+    study: Study, results: str | Path, method: str = NETWORK, design: Design | None = None
+) -> Iterator[Cell]:
+    """A method on every set of samples of a design; by default of the study's first."""
+    for label in sample_sets(study, design or study.samples.design):
         yield Cell(Path(results), method, label)

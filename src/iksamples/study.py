@@ -70,14 +70,23 @@ class Workspace(Section):
         return self
 
 
+Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints"]
+
+
 class Samples(Section):
     """Which points are recorded."""
 
-    design: Literal["grid"] = Field("grid", description="How the points are placed.")
+    designs: list[Design] = Field(
+        ["grid"],
+        min_length=1,
+        description="How the points are placed: an even grid, Chebyshev nodes, Sobol points, a "
+        "Latin hypercube, uniformly in the workspace, or uniformly in joint space. The first "
+        "design fills the table and the report.",
+    )
     points_per_axis: list[Annotated[int, Field(ge=2, le=32)]] = Field(
         [2, 3, 4, 5, 6, 7, 8],
         min_length=1,
-        description="Grids to compare: m points per axis give m^3 samples.",
+        description="Sizes to compare: m points per axis give m^3 samples, in every design.",
     )
     unreachable: Literal["error", "mask"] = Field(
         "error",
@@ -90,12 +99,28 @@ class Samples(Section):
         "are). Outputs stay in radians.",
     )
 
+    seed: int = Field(
+        0, ge=0, lt=2**31, description="Seed of the random designs and of the fresh points."
+    )
+
+    @property
+    def design(self) -> Design:
+        """The first design, which fills the table and the report."""
+        return self.designs[0]
+
     @field_validator("points_per_axis")
     @classmethod
     def _sorted_unique(cls, value: list[int]) -> list[int]:
         if len(set(value)) != len(value):
-            raise ValueError("each grid once, please")
+            raise ValueError("should name each size once")
         return sorted(value)
+
+    @field_validator("designs")
+    @classmethod
+    def _unique(cls, value: list[Design]) -> list[Design]:
+        if len(set(value)) != len(value):
+            raise ValueError("should name each design once")
+        return value
 
 
 class Network(Section):
@@ -151,6 +176,18 @@ class Training(Section):
 
     optimizer: Literal["adam"] = Field("adam", description="Optimiser.")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Step size of the optimiser.")
+    schedule: Literal["constant", "cosine", "plateau"] = Field(
+        "constant",
+        description="Learning rate over the epochs: constant; falling to zero along half a cosine; "
+        "or halved for each seed whose validation loss has stalled.",
+    )
+    plateau_patience: int = Field(
+        20,
+        ge=1,
+        le=100_000,
+        description="Epochs without improvement that halve a seed's learning rate (schedule: "
+        "plateau).",
+    )
     batch_size: int = Field(8, ge=1, le=1_000_000, description="Samples per optimiser step.")
     epochs: int = Field(500, ge=1, le=1_000_000, description="Passes over the samples, at most.")
     steps: int | None = Field(

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from iksamples.errors import IksamplesError
-from iksamples.results import labels, networks
+from iksamples.results import networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study
 
@@ -52,6 +52,14 @@ def settings(*sections):
     return STUDY.model_dump_json(include=set(sections))
 
 
+def typed_command():
+    """What a user types to run this study."""
+    files = [str(file) for file in workflow.overwrite_configfiles]
+    return " ".join(
+        ["snakemake --cores 2", *(["--configfile", *files] if files else [])]
+    )
+
+
 def where_to_look():
     """The last lines of a run: what there is now, and how to look at it."""
     made = {
@@ -75,12 +83,11 @@ try:
 except IksamplesError as error:
     stop(error)
 
-LABELS = labels(STUDY)
+LABELS = list(sample_sets(STUDY))
 
 
 wildcard_constraints:
     study=STUDY.name,
     samples="|".join(LABELS),
     method="|".join(STUDY.all_methods),
-    m=r"\d+",
     path="|".join(STUDY.evaluation.paths),

@@ -27,6 +27,7 @@ rule report:
         code=source_digest("iksamples.report.write"),
         results="results/{study}",
         folder=subpath(output.html, parent=True),
+        command=typed_command(),
     shell:
         "iksamples report {params.study:q} --results {params.results:q}"
-        " --output {params.folder:q} 2> {log:q}"
+        " --output {params.folder:q} --command {params.command:q} 2> {log:q}"

@@ -1,28 +1,29 @@
 """
-Samples: one set per grid.
+Samples: one set per design and size.
 
 REQUIRED INPUTS
     the arm's URDF
 OUTPUTS
-    results/<study>/samples/grid<m>.parquet
+    results/<study>/samples/<samples>.parquet
 """
 
 
 rule samples:
-    """Record one grid of samples."""
+    """Record one set of samples."""
     input:
         urdf=STUDY.robot.urdf,
     output:
-        "results/{study}/samples/grid{m}.parquet",
+        "results/{study}/samples/{samples}.parquet",
     log:
-        "results/{study}/logs/samples/grid{m}.log",
+        "results/{study}/logs/samples/{samples}.log",
     benchmark:
-        "results/{study}/benchmarks/samples/grid{m}.jsonl"
+        "results/{study}/benchmarks/samples/{samples}.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("robot", "workspace", "samples"),
+        settings=settings("robot", "workspace"),
+        placing=STUDY.samples.model_dump_json(exclude={"designs", "points_per_axis"}),
         held_out=STUDY.training.held_out.model_dump_json(),
         code=source_digest("iksamples.samples.dataset"),
     shell:
-        "iksamples samples {params.study:q} --points-per-axis {wildcards.m}"
+        "iksamples samples {params.study:q} --name {wildcards.samples}"
         " --output {output:q} 2> {log:q}"

@@ -21,7 +21,7 @@ rule track:
     params:
         study="results/{study}/study.json",
         settings=STUDY.model_dump_json(),
-        code=source_digest("iksamples.tracking"),
+        code=source_digest("iksamples.tracking.track"),
         results="results/{study}",
     shell:
         "iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> {log:q}"

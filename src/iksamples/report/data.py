@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -93,10 +94,14 @@ class Grid:
         ranked = self.ranked_seeds(path)
         return ranked[(len(ranked) - 1) // 2]
 
+    @cached_property
+    def _tracks(self) -> dict[tuple[str, int], pd.DataFrame]:
+        groups = self.waypoints.groupby(["path", "seed"], sort=False)
+        return {(path, seed): rows for (path, seed), rows in groups}  # type: ignore[misc]
+
     def track(self, path: str, seed: int) -> Track:
         """One network on one path."""
-        rows = self.waypoints
-        rows = rows[(rows["path"] == path) & (rows["seed"] == seed)].sort_values("waypoint")
+        rows = self._tracks[path, seed].sort_values("waypoint")
         return Track(
             seed,
             rows[[f"target_{axis}_mm" for axis in AXES]].to_numpy(float),

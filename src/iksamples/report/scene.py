@@ -69,6 +69,7 @@ def _runs(data: ReportData, grid: Grid, path: str, most: int) -> list[dict[str, 
                 "mean": round(float(np.mean(track.error_mm)), 3),
                 "max": round(float(np.max(track.error_mm)), 3),
                 "reached": _flat(track.reached_mm[keep]),
+                "error": _flat(track.error_mm[keep]),
                 # A joint that never moves is sent once.
                 "knots": [
                     _flat(knots[:, i] if np.ptp(knots[:, i], axis=0).max() > 1e-6 else knots[:1, i])
@@ -88,5 +89,5 @@ def _keep(track: Track, most: int) -> "np.typing.NDArray[np.int64]":
     return np.union1d(np.linspace(0, n - 1, most).round().astype(int), np.array(ends, int))
 
 
-def _flat(points_mm: Floats) -> list[float]:
-    return [round(float(value), 2) for value in points_mm.ravel()]
+def _flat(lengths_mm: Floats) -> list[float]:
+    return [round(float(value), 2) for value in lengths_mm.ravel()]

@@ -54,7 +54,7 @@ def estimate_against_measured(data: ReportData) -> Section:
         _as_a_square(data),
     ]
     figure = Figure(
-        "estimate",
+        "estimate-against-measured",
         "",
         "The paper’s estimate against the measured mean error, for each meaning of w̄ (left; "
         f"thick: the {name}, as in the table), and the share of the workspace on which the error "

@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,13 +15,15 @@ from iksamples.errors import IksamplesError
 from iksamples.robot.chain import Floats, SerialChain
 from iksamples.robot.workspace import reach
 from iksamples.samples import designs
-from iksamples.study import Study
+from iksamples.study import Design, Study
 
 
 AXES = ("x", "y", "z")
 _ROLES = ("sample", "validation", "test")
 # Streams of the study's generator: fresh points of different use are independent of each other.
 _FRESH_STREAM = {"validation": 1, "test": 2}
+_DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
+_MAX_DRAWS = 1000
 _REGION_POINTS = 4096
 
 
@@ -29,7 +33,8 @@ class SampleSet:
 
     Attributes:
         label: Name of the set, such as ``grid5``.
-        points_per_axis: m of the grid.
+        design: How the points are placed, such as ``grid``.
+        points_per_axis: m; there are m^3 samples, less those masked.
         joint_names: One name per joint.
         positions_mm: The samples' positions [mm], shape (n, 3).
         joints: The samples' joint values [rad], shape (n, joints).
@@ -39,12 +44,13 @@ class SampleSet:
         test_joints: Their joint values [rad], shape (t, joints).
         offset_mm: What the normalisation subtracts [mm], shape (3,).
         scale_mm: What the normalisation divides by [mm], shape (3,).
-        spacing_mm: Distance d between neighbours of the grid [mm].
+        spacing_mm: Distance d between neighbours of an even grid [mm]; NaN for other designs.
         fill_distance_mm: Largest distance from a point of the region to its nearest sample [mm].
-        n_masked: Grid points left out because the arm cannot use them.
+        n_masked: Points left out because the arm cannot use them.
     """
 
     label: str
+    design: str
     points_per_axis: int
     joint_names: tuple[str, ...]
     positions_mm: Floats
@@ -89,6 +95,7 @@ class SampleSet:
         columns |= {f"q_{name}_rad": joints[:, i] for i, name in enumerate(self.joint_names)}
         header = {
             "label": self.label,
+            "design": self.design,
             "points_per_axis": self.points_per_axis,
             "joint_names": self.joint_names,
             "offset_mm": self.offset_mm.tolist(),
@@ -127,6 +134,7 @@ class SampleSet:
         samples, validation, test = ((take(role, mm), take(role, joints)) for role in _ROLES)
         return cls(
             header["label"],
+            header["design"],
             header["points_per_axis"],
             tuple(header["joint_names"]),
             *samples,
@@ -145,22 +153,26 @@ class SampleSet:
         return self.joints, self.validation_joints, self.test_joints
 
 
-def grid_samples(study: Study, chain: SerialChain, points_per_axis: int) -> SampleSet:
-    """Samples on an evenly spaced grid of the study's workspace.
+def record_samples(
+    study: Study, chain: SerialChain, design: Design, points_per_axis: int
+) -> SampleSet:
+    """Samples of the study's workspace, placed by a design.
 
     Args:
         study: The study.
         chain: Its arm.
-        points_per_axis: m; the grid has m^3 points.
+        design: How the points are placed.
+        points_per_axis: m; there are m^3 points.
 
     Raises:
-        IksamplesError: The arm cannot use a grid point and the study does not mask it, or too few
-            points are left.
+        IksamplesError: The arm cannot use a point of the design and the study does not mask it, or
+            too few points are left.
     """
     box = study.workspace
-    label = f"grid{points_per_axis}"
-    nodes = designs.full_grid(box.lower_mm, box.upper_mm, points_per_axis)
-    answer = reach(study, chain, nodes)
+    n_wanted = points_per_axis ** len(AXES)
+    label = sample_label(design, points_per_axis)
+    points = _place(study, chain, design, points_per_axis)
+    answer = reach(study, chain, points)
     if study.samples.unreachable == "error":
         answer.require_usable(
             chain,
@@ -169,29 +181,91 @@ def grid_samples(study: Study, chain: SerialChain, points_per_axis: int) -> Samp
         )
     kept = answer.usable
     n = int(np.sum(kept))
-    if n < 2 or np.any(np.ptp(nodes[kept], axis=0) == 0):
+    if n < 2 or np.any(np.ptp(points[kept], axis=0) == 0):
         raise IksamplesError(
-            f"{label} of the workspace: only {n} of {len(nodes)} grid points can be used, too few "
-            "to span it. Move the workspace or drop this grid."
+            f"{label} of the workspace: only {n} of {len(points)} points can be used, too few "
+            "to span it. Move the workspace or drop this size."
         )
-    offset_mm, scale_mm = _normalisation(study.samples.normalisation, nodes[kept])
-    validation = _fresh(study, chain, n, "validation")
-    test = _fresh(study, chain, n, "test")
+    offset_mm, scale_mm = _normalisation(study.samples.normalisation, points[kept])
+    even = design == "grid"
     return SampleSet(
         label,
+        design,
         points_per_axis,
         chain.joint_names,
-        nodes[kept],
+        points[kept],
         answer.joints[kept],
-        *validation,
-        *test,
+        *_fresh(study, chain, n, "validation"),
+        *_fresh(study, chain, n, "test"),
         offset_mm,
         scale_mm,
-        designs.grid_spacing_mm(box.lower_mm, box.upper_mm, points_per_axis),
+        designs.grid_spacing_mm(box.lower_mm, box.upper_mm, points_per_axis) if even else np.nan,
         designs.grid_fill_distance_mm(box.lower_mm, box.upper_mm, points_per_axis)
-        if n == len(nodes)
-        else designs.fill_distance_mm(nodes[kept], region_points(study, chain, _REGION_POINTS)),
-        len(nodes) - n,
+        if even and n == n_wanted
+        else designs.fill_distance_mm(points[kept], region_points(study, chain, _REGION_POINTS)),
+        n_wanted - n,
+    )
+
+
+def grid_samples(study: Study, chain: SerialChain, points_per_axis: int) -> SampleSet:
+    """Samples on an even grid of the study's workspace; see ``record_samples``."""
+    return record_samples(study, chain, "grid", points_per_axis)
+
+
+def sample_label(design: Design, points_per_axis: int) -> str:
+    """Name of a set of samples: ``grid5`` for 5 points per axis, ``sobol125`` for 125 points."""
+    tensor = design in ("grid", "chebyshev")
+    return f"{design}{points_per_axis if tensor else points_per_axis ** len(AXES)}"
+
+
+def _place(study: Study, chain: SerialChain, design: Design, points_per_axis: int) -> Floats:
+    """Positions of a design [mm]; those of a random design that the arm cannot use are redrawn."""
+    box = study.workspace.lower_mm, study.workspace.upper_mm
+    n = points_per_axis ** len(AXES)
+    generator = np.random.default_rng([study.samples.seed, _DESIGN_STREAM[design], n])
+    if design == "grid":
+        return designs.full_grid(*box, points_per_axis)
+    if design == "chebyshev":
+        return designs.chebyshev_grid(*box, points_per_axis)
+    if design == "sobol":
+        return designs.sobol(*box, n, generator)
+    if design == "latin":
+        return designs.latin_hypercube(*box, n, generator)
+    if design == "uniform":
+        return _usable(study, chain, n, lambda k: designs.uniform(*box, k, generator))
+    return _usable(study, chain, n, lambda k: _from_joints(study, chain, k, generator))
+
+
+def _from_joints(
+    study: Study, chain: SerialChain, n: int, generator: np.random.Generator
+) -> Floats:
+    """Where the tool is at joint values drawn uniformly inside their limits, if in the workspace.
+
+    Recorded like that the samples are dense where the arm is slow (Duka 2014 samples so). Positions
+    of another branch of the inverse kinematics are labelled on the study's own.
+    """
+    joints = chain.lower + (chain.upper - chain.lower) * generator.random((n, chain.n_joints))
+    positions = chain.forward_mm(joints)
+    box = study.workspace
+    inside = np.all((positions >= box.lower_mm) & (positions <= box.upper_mm), axis=-1)
+    return positions[inside]
+
+
+def _usable(study: Study, chain: SerialChain, n: int, draw: Callable[[int], Floats]) -> Floats:
+    """The first n drawn positions that the arm can use [mm], shape (n, 3).
+
+    Raises:
+        IksamplesError: Hardly any can be used.
+    """
+    found = np.empty((0, len(AXES)))
+    for _ in range(_MAX_DRAWS):
+        points = draw(max(64, 4 * n))
+        found = np.concatenate([found, points[reach(study, chain, points).usable]])
+        if len(found) >= n:
+            return found[:n]
+    raise IksamplesError(
+        f"The workspace: of the points drawn only {len(found)} of the {n} needed can be used. "
+        "Move it, or widen robot.limits_rad."
     )
 
 
@@ -211,7 +285,7 @@ def region_points(study: Study, chain: SerialChain, n: int) -> Floats:
     points = np.concatenate(
         [
             designs.full_grid(box.lower_mm, box.upper_mm, 2),
-            designs.sobol(box.lower_mm, box.upper_mm, n, seed=0),
+            designs.sobol(box.lower_mm, box.upper_mm, n, np.random.default_rng(0)),
         ]
     )
     answer = reach(study, chain, points)
@@ -237,14 +311,7 @@ def _fresh(study: Study, chain: SerialChain, n: int, role: str) -> tuple[Floats,
     if held_out.source == "grid" or share == 0:
         return np.empty((0, 3)), np.empty((0, chain.n_joints))
     wanted = max(int(np.ceil(share * n)), held_out.at_least)
-    generator = np.random.default_rng([_FRESH_STREAM[role], n])
-    positions = np.empty((0, 3))
-    joints = np.empty((0, chain.n_joints))
-    while len(positions) < wanted:
-        points = designs.uniform(
-            study.workspace.lower_mm, study.workspace.upper_mm, 4 * wanted, generator
-        )
-        answer = reach(study, chain, points)
-        positions = np.concatenate([positions, points[answer.usable]])
-        joints = np.concatenate([joints, answer.joints[answer.usable]])
-    return positions[:wanted], joints[:wanted]
+    generator = np.random.default_rng([study.samples.seed, _FRESH_STREAM[role], n])
+    box = study.workspace.lower_mm, study.workspace.upper_mm
+    positions = _usable(study, chain, wanted, lambda k: designs.uniform(*box, k, generator))
+    return positions, reach(study, chain, positions).joints

@@ -24,23 +24,53 @@ def full_grid(lower_mm: ArrayLike, upper_mm: ArrayLike, points_per_axis: int) ->
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, len(sides))
 
 
+def chebyshev_grid(lower_mm: ArrayLike, upper_mm: ArrayLike, points_per_axis: int) -> Floats:
+    """Tensor grid of Chebyshev nodes of the first kind [mm], shape (m ** axes, axes).
+
+    The nodes at which polynomial interpolation is within a small factor of the best possible
+    (Trefethen, *Approximation Theory and Approximation Practice*, ch. 2 and 15); none lies on the
+    box's boundary.
+    """
+    lower, upper = np.asarray(lower_mm, float), np.asarray(upper_mm, float)
+    angle = (2 * np.arange(points_per_axis) + 1) * np.pi / (2 * points_per_axis)
+    node = (1 - np.cos(angle)) / 2
+    sides = [low + (high - low) * node for low, high in zip(lower, upper, strict=True)]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, len(sides))
+
+
 def uniform(
     lower_mm: ArrayLike, upper_mm: ArrayLike, n: int, generator: np.random.Generator
 ) -> Floats:
     """Points drawn uniformly from a box [mm], shape (n, axes)."""
-    lower, upper = np.asarray(lower_mm, float), np.asarray(upper_mm, float)
-    return lower + (upper - lower) * generator.random((n, len(lower)))
+    return _in_box(lower_mm, upper_mm, generator.random((n, np.size(lower_mm))))
 
 
-def sobol(lower_mm: ArrayLike, upper_mm: ArrayLike, n: int, seed: int) -> Floats:
+def latin_hypercube(
+    lower_mm: ArrayLike, upper_mm: ArrayLike, n: int, generator: np.random.Generator
+) -> Floats:
+    """Latin hypercube: one point in each of n slices along every axis [mm], shape (n, axes)."""
+    from scipy.stats import qmc
+
+    return _in_box(
+        lower_mm, upper_mm, qmc.LatinHypercube(np.size(lower_mm), rng=generator).random(n)
+    )
+
+
+def sobol(
+    lower_mm: ArrayLike, upper_mm: ArrayLike, n: int, generator: np.random.Generator
+) -> Floats:
     """Scrambled Sobol points in a box [mm], shape (n, axes) (Owen 1998, by SciPy)."""
     from scipy.stats import qmc
 
-    lower, upper = np.asarray(lower_mm, float), np.asarray(upper_mm, float)
-    engine = qmc.Sobol(len(lower), rng=np.random.default_rng(seed))
+    engine = qmc.Sobol(np.size(lower_mm), rng=generator)
     # Drawn as a whole power of two, which is what the sequence is balanced for.
-    points = engine.random_base2(int(np.ceil(np.log2(n))))[:n]
-    return lower + (upper - lower) * points
+    return _in_box(lower_mm, upper_mm, engine.random_base2(int(np.ceil(np.log2(n))))[:n])
+
+
+def _in_box(lower_mm: ArrayLike, upper_mm: ArrayLike, unit: Floats) -> Floats:
+    """Points of the unit cube carried to a box."""
+    lower, upper = np.asarray(lower_mm, float), np.asarray(upper_mm, float)
+    return lower + (upper - lower) * unit
 
 
 def grid_spacing_mm(lower_mm: ArrayLike, upper_mm: ArrayLike, points_per_axis: int) -> float:

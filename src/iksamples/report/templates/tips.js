@@ -36,7 +36,7 @@
       const at = mark.getBoundingClientRect();
       const left = Math.min(at.right + 8, innerWidth - box.offsetWidth - 8);
       box.style.left = `${Math.max(8, left)}px`;
-      box.style.top = `${Math.max(8, at.top - box.offsetHeight - 6)}px`;
+      box.style.top = `${Math.max(8, at.top - box.offsetHeight - 10)}px`;
     });
     drawing.addEventListener("pointerleave", release);
   }

@@ -29,7 +29,7 @@
 
   function projection(width, height) {
     const a = (state.azimuth * Math.PI) / 180, e = (state.elevation * Math.PI) / 180;
-    const scale = (0.56 * Math.min(width * 1.2, height)) / radius;
+    const scale = (0.49 * Math.min(width * 1.25, height)) / radius;
     return (v) => {
       const [x, y, z] = v.map((c, axis) => c - middle[axis]);
       const across = -Math.sin(a) * x + Math.cos(a) * y, depth = Math.cos(a) * x + Math.sin(a) * y;
@@ -100,8 +100,7 @@
     dot(target, 3.4, "target");
     dot(reached, 3.4, "network");
 
-    const miss = Math.hypot(...target.map((c, axis) => c - reached[axis]));
-    readout.textContent = `${miss.toFixed(2)} mm off here, ${chosen.max.toFixed(2)} mm at most`;
+    readout.textContent = `${chosen.error[state.at].toFixed(2)} mm off here, ${chosen.max.toFixed(2)} mm at most`;
     pen.font = `13px ${getComputedStyle(document.body).fontFamily}`;
     const legend = [["target", "target"], ["network", `reached by seed ${chosen.seed}: ${chosen.mean.toFixed(2)} mm off on average`], ["sample", `${grid.n} training points`]];
     legend.forEach(([style, words], i) => {
@@ -149,10 +148,18 @@
     draw();
   }
 
-  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
-  canvas.addEventListener("pointermove", (event) => {
-    if (canvas.hasPointerCapture(event.pointerId)) turn(0.45 * event.movementX, 0.45 * event.movementY);
+  // Places are kept here, since not every browser reports the movement of a finger.
+  let last = null;
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    last = [event.clientX, event.clientY];
   });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!last) return;
+    turn(0.45 * (event.clientX - last[0]), 0.45 * (event.clientY - last[1]));
+    last = [event.clientX, event.clientY];
+  });
+  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { last = null; });
   canvas.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, -5], ArrowDown: [0, 5] }[event.key];
     if (!step) return;

@@ -1,0 +1,80 @@
+"""What every method gives in the end: something that answers positions with joint values."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from iksamples.errors import IksamplesError
+from iksamples.robot.chain import Floats, SerialChain
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study
+
+
+_BLOCK = 8192
+"""Points answered at once: what a method holds per point (512 kernel values, say) stays small."""
+
+
+class NotApplicableError(IksamplesError):
+    """A method cannot use these samples at all, through no fault of the study.
+
+    A comparison may record this as the method's result on these samples and go on.
+    """
+
+
+class Predictor(Protocol):
+    """Fitted methods, stacked: one member per seed, or a single one where nothing is random.
+
+    ``training.network.StackedMLP`` is one.
+    """
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seed of each member."""
+
+    def predict(self, positions_mm: ArrayLike) -> Floats:
+        """Joint values for positions.
+
+        Args:
+            positions_mm: Positions [mm], shape (points, 3).
+
+        Returns:
+            Joint values [rad, or mm for a prismatic joint], shape (members, points, joints).
+        """
+
+
+Fit = Callable[[Study, SerialChain, SampleSet], Predictor]
+"""A method: it fits the samples and returns what answers."""
+
+
+@dataclass(frozen=True)
+class Single:
+    """A predictor of one member, made of a function.
+
+    Attributes:
+        answer: Joint values (points, joints) for positions [mm] (points, 3).
+    """
+
+    answer: Callable[[Floats], Floats]
+    seeds: tuple[int, ...] = (0,)
+
+    def predict(self, positions_mm: ArrayLike) -> Floats:
+        """Joint values [rad or mm], shape (1, points, joints), for positions [mm] (points, 3)."""
+        positions = np.asarray(positions_mm, float)
+        blocks = np.split(positions, range(_BLOCK, len(positions), _BLOCK))
+        return np.concatenate([self.answer(block) for block in blocks])[None]
+
+
+def require_at_most(limit: int, samples: SampleSet, kind: str) -> None:
+    """Stops where a method whose matrix grows with the square of the samples would get too large.
+
+    Raises:
+        NotApplicableError: There are more samples than the limit.
+    """
+    if samples.n_samples > limit:
+        raise NotApplicableError(
+            f"{kind}: {samples.label} has {samples.n_samples} samples, more than the {limit} whose "
+            "dense matrix is worth solving. Use multilinear or cubic on a grid of this size."
+        )

@@ -1,0 +1,196 @@
+"""The statistics of seeds: shares with their confidence, resampling, and paired comparisons."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iksamples.errors import IksamplesError
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+Draws = NDArray[np.int64]
+
+FEWEST_SEEDS = 5
+"""With fewer seeds a bootstrap interval says nothing."""
+LEVEL = 0.95
+"""Level of every two-sided interval."""
+_MOST_SEEDS = 10**7
+
+
+class Interval(NamedTuple):
+    """An estimate with its 95 % interval; the ends are NaN where there are too few seeds."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval at all."""
+        return bool(np.isfinite(self.low) and np.isfinite(self.high))
+
+
+def draws(n_seeds: int, rng: np.random.Generator, resamples: int = 1000) -> Draws:
+    """Rows of seeds drawn with replacement (Efron and Tibshirani 1993, ch. 6).
+
+    Everything that is compared is resampled with the same draws: seed k stands for seed k in every
+    number of samples and every method.
+
+    Returns:
+        Indices into the seeds, shape (resamples, n_seeds).
+    """
+    return rng.integers(0, n_seeds, (resamples, n_seeds))
+
+
+def interquartile_mean(errors: ArrayLike, axis: int = 0) -> Floats:
+    """Mean of the middle half: as robust as the median, with less scatter.
+
+    A quarter of the values, rounded down, is left out at either end (Agarwal et al. 2021,
+    arXiv 2108.13264). Up to a quarter of diverged seeds (infinite errors) do no harm.
+    """
+    from scipy.stats import trim_mean
+
+    return np.asarray(trim_mean(np.asarray(errors, float), 0.25, axis=axis))
+
+
+def share_quantile(errors: ArrayLike, share: float, axis: int = 0) -> Floats:
+    """Smallest of the errors that at least this share of the seeds does not exceed."""
+    return np.quantile(np.asarray(errors, float), share, axis=axis, method="inverted_cdf")
+
+
+def interval(value: float, resampled: ArrayLike) -> Interval:
+    """An estimate with the percentile interval of its resampled values."""
+    values = np.asarray(resampled, float)
+    if values.size == 0 or np.isnan(values).any():
+        return Interval(float(value), np.nan, np.nan)
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(values, [tail, 1 - tail], method="inverted_cdf")
+    return Interval(float(value), float(low), float(high))
+
+
+def share_lower(n_met: int, n: int, confidence: float) -> float:
+    """One-sided lower end of a share (Clopper and Pearson 1934).
+
+    Args:
+        n_met: Trainings that met the tolerance.
+        n: Trainings.
+        confidence: Of the share being no smaller.
+    """
+    from scipy.stats import binomtest
+
+    if n == 0:
+        return 0.0
+    test = binomtest(n_met, n, alternative="greater")
+    return float(test.proportion_ci(confidence_level=confidence, method="exact").low)
+
+
+def share_interval(n_met: int, n: int) -> Interval:
+    """A share with its two-sided 95 % interval (Clopper and Pearson 1934)."""
+    from scipy.stats import binomtest
+
+    ends = binomtest(n_met, n).proportion_ci(confidence_level=LEVEL, method="exact")
+    return Interval(n_met / n, float(ends.low), float(ends.high))
+
+
+def best_of_share(share: float, best_of: int) -> float:
+    """How often the best of several trainings meets what this share of single ones meets."""
+    return float(-np.expm1(best_of * np.log1p(-share))) if share < 1 else 1.0
+
+
+def single_share(share: float, best_of: int) -> float:
+    """The share of single trainings that makes the best of several meet it this often."""
+    return float(-np.expm1(np.log1p(-share) / best_of))
+
+
+def met_needed(n: int, share: float, confidence: float) -> int | None:
+    """Fewest of n trainings that must meet it for the lower end to reach a share; None: no way."""
+    if share_lower(n, n, confidence) < share:
+        return None
+    low, high = 0, n
+    while low < high:
+        middle = (low + high) // 2
+        if share_lower(middle, n, confidence) >= share:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
+    """Fewest trainings whose lower end reaches a share though some of them failed.
+
+    Raises:
+        IksamplesError: More than ten million.
+    """
+    from scipy.stats import beta
+
+    def reaches(n: int) -> bool:
+        # The lower end of n - failures successes (Clopper and Pearson 1934), as in share_lower.
+        return bool(beta.ppf(1 - confidence, n - failures, failures + 1) >= share)
+
+    high = failures + 1
+    while not reaches(high):
+        high *= 2
+        if high > _MOST_SEEDS:
+            raise IksamplesError(
+                f"a share of {share:g} with confidence {confidence:g} takes more than "
+                f"{_MOST_SEEDS:,} trainings; lower tolerance.success_share or raise best_of."
+            )
+    low = failures + 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if reaches(middle) else (middle + 1, high)
+    return high
+
+
+def compare(
+    rows: "pd.DataFrame", method: str, other: str, rng: np.random.Generator
+) -> "pd.DataFrame":
+    """A method's error over another's, seed by seed on the same samples.
+
+    A seed gives two networks of one shape the same initial weights and shuffles; pairing takes what
+    that has in common out of the comparison. A method of one member is held against every seed.
+
+    Args:
+        rows: Outcomes.
+        method: The method.
+        other: The one it is compared with.
+        rng: Draws the resamples.
+
+    Returns:
+        One row per number of samples that both have: n_samples, n_pairs, ratio (median over seeds
+        of the error divided by the other's), ratio_low and ratio_high (95 % interval; NaN with too
+        few seeds), better (share of the seeds with the smaller error).
+    """
+    import pandas as pd
+
+    records = []
+    ours, theirs = (rows[rows["method"] == name] for name in (method, other))
+    for n in sorted(set(ours["n_samples"]) & set(theirs["n_samples"])):
+        first, second = _paired(ours[ours["n_samples"] == n], theirs[theirs["n_samples"] == n])
+        if not len(first):
+            continue
+        ratio = first / second
+        resampled: Floats | list[float] = []
+        if len(ratio) >= FEWEST_SEEDS:
+            resampled = np.median(ratio[draws(len(ratio), rng)], axis=1)
+        middle = interval(float(np.median(ratio)), resampled)
+        records.append((int(n), len(ratio), *middle, float(np.mean(first < second))))
+    columns = ["n_samples", "n_pairs", "ratio", "ratio_low", "ratio_high", "better"]
+    return pd.DataFrame(records, columns=columns)
+
+
+def _paired(first: "pd.DataFrame", second: "pd.DataFrame") -> tuple[Floats, Floats]:
+    """Errors of two methods, seed by seed; a pair of which both diverged says nothing."""
+    if len(first) == 1 or len(second) == 1:
+        x, y = (side["error_mm"].to_numpy(float) for side in (first, second))
+        x, y = np.broadcast_arrays(x, y)
+    else:
+        both = first.merge(second, on="seed", suffixes=("", "_other"))
+        x, y = both["error_mm"].to_numpy(float), both["error_mm_other"].to_numpy(float)
+    useful = np.isfinite(x) | np.isfinite(y)
+    return x[useful], y[useful]

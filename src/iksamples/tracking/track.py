@@ -1,0 +1,109 @@
+"""Logs a study to MLflow: the one process that writes to the tracking store."""
+
+import json
+import logging
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from urllib.parse import quote, urlencode
+
+from iksamples.results import Cell
+from iksamples.study import Study
+from iksamples.tracking.content import study_runs
+from iksamples.tracking.store import (
+    Outcome,
+    connect,
+    experiment,
+    failing_plainly,
+    upsert,
+    without_password,
+)
+
+
+DEFAULT_URI = "sqlite:///mlflow.db"
+"""What a plain ``mlflow ui`` in the same folder shows."""
+
+# What keeps MLflow's page from asking what kind of experiment this is.
+MODEL_TRAINING = "custom_model_development"
+
+
+def track(
+    study: Study, cells: Iterable[Cell], table_path: str | Path, output: str | Path
+) -> Outcome:
+    """Brings a study's MLflow experiment in line with its results.
+
+    The experiment has the study's name: one run for the study, below it one per grid, below that
+    one per seed. What is there already with the same content is kept, so that it can be done again
+    at any time, also after it was cut off.
+
+    Args:
+        study: The study.
+        cells: The results of each grid, smallest first.
+        table_path: The study's ``table.csv``.
+        output: Manifest to write (JSON): where the runs are, each run's id, and the page that
+            compares the grids.
+
+    Raises:
+        IksamplesError: The tracking store cannot be used.
+    """
+    # Before the first import of MLflow, which reads it then.
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    for noisy in ("alembic", "mlflow.store.db.utils"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    from mlflow.utils.git_utils import get_git_commit
+
+    uri = tracking_uri(study)
+    client = connect(uri)
+    tags = {
+        "iksamples.study": study.digest(),
+        "mlflow.source.name": "iksamples",
+        "mlflow.source.type": "LOCAL",
+    }
+    if commit := get_git_commit("."):
+        tags["mlflow.source.git.commit"] = commit
+    with failing_plainly(uri):
+        where = experiment(client, study.name)
+        client.set_experiment_tag(where.experiment_id, "mlflow.experimentKind", MODEL_TRAINING)
+        note = _note(study, where.experiment_id)
+        client.set_experiment_tag(where.experiment_id, "mlflow.note.content", note)
+        outcome = upsert(client, where, study_runs(study, cells, Path(table_path)), tags)
+    manifest = {
+        "tracking_uri": without_password(uri),
+        "experiment": where.name,
+        "experiment_id": where.experiment_id,
+        "page": page(where.experiment_id),
+        "study": study.digest(),
+        "runs": outcome.run_ids,
+    }
+    Path(output).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+    return outcome
+
+
+def tracking_uri(study: Study) -> str:
+    """The study's tracking URI, or the environment's, or a SQLite file in the working folder."""
+    return study.tracking.uri or os.environ.get("MLFLOW_TRACKING_URI") or DEFAULT_URI
+
+
+def page(experiment_id: str) -> str:
+    """The part of the address, after the server's, where MLflow's page charts the grids."""
+    # Sorted by a metric, since MLflow folds runs below their parent when sorted by time.
+    query = {
+        "workflowType": "machine_learning",
+        "compareRunsMode": "CHART",
+        "searchFilter": "tags.`iksamples.kind` != 'seed'",
+        "orderByKey": "metrics.`error_mean_mm`",
+        "orderByAsc": "false",
+    }
+    return f"#/experiments/{experiment_id}/runs?{urlencode(query, quote_via=quote)}"
+
+
+def _note(study: Study, experiment_id: str) -> str:
+    """What the experiment's page says; it shows the first line until asked for more."""
+    return (
+        f"[Charts of the grids]({page(experiment_id)}) of study {study.name}: how the position "
+        "error of a learned inverse kinematics falls with the number of samples.\n\n"
+        f"{study.title}\n\n"
+        "One run for the study, below it one per grid, below each grid one per seed. The step of "
+        "an error is the number of samples, the step of a loss is the epoch. Lengths in mm, losses "
+        "in rad²."
+    )
