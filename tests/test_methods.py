@@ -14,6 +14,8 @@ from iksamples.evaluation.errors import cube_errors, send, summarise, track_path
 from iksamples.methods import gaussian_process, rbf
 from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.methods.registry import FITS, fit
+from iksamples.methods.tensor import tensor_grid
+from iksamples.robot.chain import SerialChain
 from iksamples.robot.closed_form import inverse
 from iksamples.samples.dataset import grid_samples, region_points
 from iksamples.study import MethodKind, parse_study
@@ -281,6 +283,15 @@ def test_methods_on_grids_refuse_masked_and_scattered_samples(kind, masked, stud
         fit(kind, study, chain, with_points(whole, twice, whole.joints))
 
 
+def test_rounded_coordinates_are_one(study, chain, rng):
+    samples = grid_samples(study, chain, 4)
+    rounded = samples.positions_mm + rng.uniform(-1e-9, 1e-9, (64, 3))
+    grid = tensor_grid(with_points(samples, rounded, samples.joints), "cubic")
+    np.testing.assert_array_equal(grid.joints, samples.joints.reshape(4, 4, 4, 3))
+    for axis in grid.axes_mm:
+        assert len(axis) == 4
+
+
 @pytest.mark.parametrize("kind", EVERYWHERE)
 def test_methods_for_scattered_samples_take_masked_grids(kind, masked, chain):
     study, samples = masked
@@ -387,6 +398,28 @@ def test_no_table_exceeds_its_bounds(spread, study, chain, rng):
         assert certificate.upper_mm <= 1.06 * certificate.lower_mm
         at = errors_mm(chain, predictor, certificate.argmax_mm[None])[0]
         assert at == pytest.approx(certificate.lower_mm, abs=1e-7)
+
+
+@pytest.mark.parametrize("offset_mm", [0, 6])
+def test_worst_case_of_a_gantry_is_at_a_sample(offset_mm, study, chain, rng):
+    """A gantry's error is multilinear in each cell as the table is: largest at a corner."""
+    gantry = SerialChain(
+        ("x", "y", "z"),
+        ("prismatic",) * 3,
+        np.eye(3),
+        np.zeros((3, 3)),
+        np.zeros(3),
+        np.zeros(3),
+        np.full(3, 100.0),
+    )
+    for m in (2, 3):
+        samples = grid_samples(study, chain, m)
+        wrong = samples.positions_mm + offset_mm + rng.normal(size=samples.positions_mm.shape)
+        samples = replace(samples, joints=wrong)
+        worst = np.linalg.norm(wrong - samples.positions_mm, axis=1).max()
+        certificate = certify_table(study, gantry, samples, rtol=1e-6)
+        assert certificate.lower_mm == pytest.approx(worst, abs=1e-9)
+        assert worst <= certificate.upper_mm <= worst * (1 + 1e-6) + 1e-9
 
 
 def test_cells_bounds_close_on_the_error_as_the_cube_of_the_box(study, chain):
