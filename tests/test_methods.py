@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.optimize import differential_evolution
 
-from iksamples.bounds.table import _Cells, certify_table
+from iksamples.bounds.table import TableCells, certify_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.methods import gaussian_process, rbf
@@ -378,19 +378,19 @@ def test_no_table_exceeds_its_bounds(spread, study, chain, rng):
             return exact + spread * rng.normal(size=(len(x), 3))
 
         samples = on_axes(study, chain, *axes, function=random)
-        cells = _Cells.of(study, chain, samples)
+        cells = TableCells.of(study, chain, samples)
         predictor = fit("multilinear", study, chain, samples)
-        which = rng.integers(cells.n_networks, size=200)
+        which = rng.integers(len(cells.low_mm), size=200)
         radius = 0.5 * rng.random((200, 3)) ** 3
         centre = radius + (1 - 2 * radius) * rng.random((200, 3))
-        upper, corner, _ = cells.upper_bounds(which, centre, radius)
+        upper, corner, _ = cells.upper_bounds_mm(which, centre, radius)
         for _ in range(40):
             shares = centre + radius * rng.uniform(-1, 1, (200, 3))
             points = cells.position_mm(which, shares)
             error = errors_mm(chain, predictor, points)
-            np.testing.assert_allclose(cells.values(which, shares), error, atol=1e-9)
+            np.testing.assert_allclose(cells.errors_mm(which, shares), error, atol=1e-9)
             assert (error <= upper).all()
-        assert (cells.values(which, corner) <= upper).all()
+        assert (cells.errors_mm(which, corner) <= upper).all()
 
         certificate = certify_table(study, chain, samples, rtol=0.05)
         sampled = errors_mm(chain, predictor, uniform(study, rng, 20_000)).max()
@@ -416,6 +416,12 @@ def test_worst_case_of_a_gantry_is_at_a_sample(offset_mm, study, chain, rng):
         samples = grid_samples(study, chain, m)
         wrong = samples.positions_mm + offset_mm + rng.normal(size=samples.positions_mm.shape)
         samples = replace(samples, joints=wrong)
+        cells = TableCells.of(study, gantry, samples)
+        half = np.full(cells.low_mm.shape, 0.5)
+        upper, _, _ = cells.upper_bounds_mm(np.arange(len(half)), half, half)
+        for shares in np.ndindex(2, 2, 2):
+            every = np.tile(np.array(shares, float), (len(half), 1))
+            assert (cells.errors_mm(np.arange(len(half)), every) <= upper).all()
         worst = np.linalg.norm(wrong - samples.positions_mm, axis=1).max()
         certificate = certify_table(study, gantry, samples, rtol=1e-6)
         assert certificate.lower_mm == pytest.approx(worst, abs=1e-9)
@@ -424,16 +430,16 @@ def test_worst_case_of_a_gantry_is_at_a_sample(offset_mm, study, chain, rng):
 
 def test_cells_bounds_close_on_the_error_as_the_cube_of_the_box(study, chain):
     """The enclosure is exact to second order, so that halving a box takes three quarters off."""
-    cells = _Cells.of(study, chain, grid_samples(study, chain, 4))
-    every = np.arange(cells.n_networks)
+    cells = TableCells.of(study, chain, grid_samples(study, chain, 4))
+    every = np.arange(len(cells.low_mm))
     centre = np.full((len(every), 3), 0.4)
     excess = []
     for radius in (0.1, 0.05, 0.025):
         box = np.full_like(centre, radius)
-        upper, _, _ = cells.upper_bounds(every, centre, box)
+        upper, _, _ = cells.upper_bounds_mm(every, centre, box)
         grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 3), axis=-1).reshape(-1, 3)
         points = (centre[:, None] + radius * grid).reshape(-1, 3)
-        values = cells.values(np.repeat(every, len(grid)), points).reshape(len(every), -1)
+        values = cells.errors_mm(np.repeat(every, len(grid)), points).reshape(len(every), -1)
         excess.append(np.median(upper - values.max(axis=1)))
     assert excess[1] < excess[0] / 3
     assert excess[2] < excess[1] / 3

@@ -1,19 +1,27 @@
 """Training itself: the arithmetic, early stopping, and that seeds do not touch each other."""
 
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import ModelCheckpoint
+from scipy import stats
 from torch import nn
 
 from iksamples.study import Study, parse_study
-from iksamples.training import reference
+from iksamples.training import fused, kernel, reference
 from iksamples.training.initial import initial_weights
-from iksamples.training.module import fit
+from iksamples.training.module import fit as fit_with
+from iksamples.training.module import make_engine
 from iksamples.training.network import ACTIVATIONS, StackedMLP
 from iksamples.training.problem import Problem
-from iksamples.training.record import Record, stack
+from iksamples.training.record import Record, stack, unstack
 from iksamples.training.shuffle import permutations
 
 
@@ -39,6 +47,16 @@ def make_problem(
     )
 
 
+@pytest.fixture(params=["reference", "fused"])
+def fit(request):
+    """Trains a problem with either engine."""
+
+    def train(problem: Problem, **options) -> Record:
+        return fit_with(problem, make_engine(request.param, problem), **options)
+
+    return train
+
+
 def same(one: Record, other: Record, *names: str) -> None:
     """Asserts equality to the last bit."""
     for name in names or ("parameters", "history", "snapshots", "best_epoch", "stopped"):
@@ -53,17 +71,21 @@ SHAPES = [
     {"hidden": (10,), "n": 1, "batch_size": 8, "epochs": 9, "activation": "elu"},
     {"hidden": (50, 50), "n": 27, "batch_size": 9, "epochs": 4, "activation": "tanh"},
     {"hidden": (), "n": 8, "batch_size": 8, "epochs": 9},
+    {"hidden": (16,), "n": 9, "batch_size": 1, "epochs": 4},
+    {"hidden": (7, 6, 5), "n": 45, "batch_size": 20, "epochs": 5, "schedule": "cosine"},
 ]
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_seed_is_the_same_to_the_last_bit_alone_and_among_many(shape):
+def test_a_seed_is_the_same_to_the_last_bit_alone_and_among_many(fit, request, shape):
+    if "fused" in request.node.name and shape.get("activation", "relu") not in ("relu", "tanh"):
+        pytest.skip("not an activation of the fused engine")
     many = fit(make_problem(range(100), **shape))
     for seeds in ([0], [99], [41], [99, 3, 40, 8, 2, 77, 5], range(20)):
         same(fit(make_problem(seeds, **shape)), many.select(seeds))
 
 
-def test_training_equals_a_plain_torch_loop():
+def test_training_equals_a_plain_torch_loop(fit):
     problem = make_problem([3, 8], hidden=(7, 5), activation="tanh", epochs=12, batch_size=8)
     record = fit(problem)
     for row, seed in enumerate(problem.seeds):
@@ -144,7 +166,7 @@ def keras_stop(losses, patience, min_delta):
 
 
 @pytest.mark.parametrize("restore", [False, True])
-def test_early_stopping_acts_on_each_seed_by_itself(restore):
+def test_early_stopping_acts_on_each_seed_by_itself(fit, restore):
     stopping = {"patience": 3, "min_delta_rad2": 2e-3, "restore_best": restore}
     shape = {"hidden": (16,), "epochs": 60, "learning_rate": 0.03}
     free = fit(make_problem(range(8), **shape))
@@ -163,7 +185,7 @@ def test_early_stopping_acts_on_each_seed_by_itself(restore):
         np.testing.assert_array_equal(record.snapshots[-1, i], record.parameters[i])
 
 
-def test_without_validation_points_nothing_stops():
+def test_without_validation_points_nothing_stops(fit):
     stopping = {"patience": 1, "min_delta_rad2": 1.0}
     record = fit(make_problem(check=0, epochs=5, early_stopping=stopping))
     assert not record.stopped.any()
@@ -171,7 +193,7 @@ def test_without_validation_points_nothing_stops():
     assert np.isfinite(record.history[[0, 2, 3, 4]]).all()
 
 
-def test_a_seed_that_diverges_leaves_the_others_alone():
+def test_a_seed_that_diverges_leaves_the_others_alone(fit):
     seeds, n = range(5), 21
     rows = np.tile(np.arange(n, dtype=np.int32), (5, 1))
     rows[2, 4] = n  # a row of the table that only this seed learns from
@@ -186,14 +208,14 @@ def test_a_seed_that_diverges_leaves_the_others_alone():
 
 
 @pytest.mark.parametrize("per_block", [1, 7])
-def test_result_does_not_depend_on_the_size_of_blocks(per_block):
+def test_result_does_not_depend_on_the_size_of_blocks(fit, per_block):
     stopping = {"patience": 4, "min_delta_rad2": 1e-3}
     problem = make_problem(epochs=20, learning_rate=0.02, early_stopping=stopping)
     same(fit(problem, epochs_per_block=per_block), fit(problem))
 
 
 @pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint")
-def test_resume_from_a_lightning_checkpoint_equals_one_run(tmp_path):
+def test_resume_from_a_lightning_checkpoint_equals_one_run(fit, tmp_path):
     stopping = {"patience": 5, "min_delta_rad2": 1e-3, "restore_best": True}
     problem = make_problem(epochs=30, learning_rate=0.02, early_stopping=stopping)
     whole = fit(
@@ -208,7 +230,7 @@ def test_resume_from_a_lightning_checkpoint_equals_one_run(tmp_path):
     assert not np.array_equal(whole.parameters, fit(make_problem(epochs=12)).parameters)
 
 
-def test_callbacks_and_logged_values_are_lightnings():
+def test_callbacks_and_logged_values_are_lightnings(fit):
     class Listener(pl.Callback):
         def __init__(self):
             self.seen = []
@@ -228,10 +250,184 @@ def test_callbacks_and_logged_values_are_lightnings():
     np.testing.assert_allclose(check, record.history[1, ends].mean(axis=1), rtol=1e-6)
 
 
-def test_snapshots_begin_with_the_initial_and_end_with_the_final_weights(study, chain):
+def test_snapshots_begin_with_the_initial_and_end_with_the_final_weights(fit):
     problem = make_problem(epochs=40)
     record = fit(problem)
     np.testing.assert_array_equal(record.snapshots[0], stack(*initial_weights((3, 7, 3), range(4))))
     np.testing.assert_array_equal(record.snapshots[-1], record.parameters)
     middle = int(record.snapshot_epochs[3])
     np.testing.assert_array_equal(record.snapshots[3], fit(make_problem(epochs=middle)).parameters)
+
+
+SCHEDULES = [
+    {"hidden": (16,), "n": 125, "batch_size": 8, "epochs": 20},
+    {"hidden": (16,), "n": 125, "batch_size": 8, "epochs": 20, "activation": "tanh"},
+    {"hidden": (10, 7), "n": 27, "batch_size": 5, "epochs": 50, "schedule": "cosine"},
+    {"hidden": (5, 6, 7), "n": 45, "batch_size": 20, "epochs": 80, "activation": "tanh"},
+    {"hidden": (), "n": 8, "batch_size": 8, "epochs": 200},
+    {"hidden": (16,), "n": 1, "batch_size": 8, "epochs": 200, "seeds": [5]},
+    {"hidden": (16,), "n": 9, "batch_size": 1, "epochs": 30, "activation": "tanh"},
+    {"hidden": (40,), "n": 64, "batch_size": 64, "epochs": 200, "learning_rate": 0.005},
+    {"hidden": (16,), "n": 30, "batch_size": 2, "epochs": 20, "seeds": range(33)},
+]
+
+
+@pytest.mark.parametrize("shape", SCHEDULES, ids=str)
+def test_fused_engine_follows_the_reference(shape):
+    # Both round differently in the last place, and a ReLU's kink or Adam's division by a tiny root
+    # can blow that up: after some 300 steps losses agree to 2e-4 relative, parameters to 2e-4.
+    problem = make_problem(**({"seeds": range(5)} | shape))
+    fused = fit_with(problem, make_engine("fused", problem))
+    reference = fit_with(problem)
+    np.testing.assert_allclose(fused.history[:2], reference.history[:2], rtol=2e-4, atol=1e-7)
+    np.testing.assert_allclose(fused.history[2:], reference.history[2:], rtol=2e-4, atol=2e-6)
+    np.testing.assert_allclose(fused.snapshots, reference.snapshots, atol=2e-4)
+    assert (np.abs(fused.parameters - fused.snapshots[0]).max(axis=1) > 0.005).all()
+
+
+@pytest.mark.parametrize("schedule", ["constant", "plateau"])
+def test_engines_end_with_the_same_errors(schedule):
+    # 4000 steps: single trajectories have parted, their distribution has not.
+    problem = make_problem(
+        range(64), n=61, hidden=(16,), epochs=500, schedule=schedule, plateau_patience=20
+    )
+    losses = [
+        fit_with(problem, make_engine(name, problem)).history[1, -1]
+        for name in ("fused", "reference")
+    ]
+    spread = np.std(losses[0])
+    assert abs(losses[0].mean() - losses[1].mean()) < 0.05 * spread
+    assert stats.ks_2samp(*losses).pvalue > 0.9
+
+
+def test_plateau_halves_the_rate_of_a_stalled_seed_alone(fit):
+    shape = {"hidden": (16,), "epochs": 60, "learning_rate": 0.05}
+    free = fit(make_problem(range(8), **shape))
+    record = fit(make_problem(range(8), **shape, schedule="plateau", plateau_patience=4))
+    for i in range(8):
+        check, best, waited, halved = free.history[1, :, i], np.inf, 0, 60
+        for epoch, loss in enumerate(check, 1):
+            waited = 0 if loss < best else waited + 1
+            best = min(best, loss)
+            if waited == 4:
+                halved = epoch
+                break
+        np.testing.assert_array_equal(record.history[:, :halved, i], free.history[:, :halved, i])
+        if halved < 60:
+            before, after = (r.history[0, halved, i] for r in (free, record))
+            assert before != after
+            # From there on as with half the rate: one epoch further from the same weights.
+            assert not np.array_equal(record.parameters[i], free.parameters[i])
+
+
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_fused_gradient_against_finite_differences(activation, rng):
+    n, sizes, lanes = 5, (3, 6, 4, 2), fused.LANES
+    kernels, _ = initial_weights(sizes, range(lanes))
+    biases = [rng.normal(size=(lanes, size)) for size in sizes[1:]]
+    start = stack([kernel.astype(float) for kernel in kernels], biases)
+    points, targets = rng.normal(size=(n, 3)), rng.normal(size=(n, 2))
+
+    def losses(flat):
+        network = StackedMLP(
+            *unstack(flat, sizes), activation, np.zeros(3), np.ones(3), tuple(range(lanes))
+        )
+        return np.mean((network.predict(points) - targets) ** 2, axis=(1, 2))
+
+    w, m, v = start.T.flatten(), np.zeros(start.size), np.zeros(start.size)
+    order = np.tile(np.arange(n, dtype=np.int32), (lanes, 1))
+    arguments = (
+        *(points, targets, order, order[:, :0], np.arange(lanes, dtype=np.uint64)),
+        *(np.array(sizes), kernel.ACTIVATIONS[activation], n, 1, np.ones(1), np.ones(1)),
+        *(w, m, v, np.zeros(5 * lanes), np.array([-1]), np.zeros(0)),
+        *(np.zeros(lanes), np.zeros((4, lanes), np.int64), np.ones(lanes), w.copy()),
+        *(0, False, np.float64(0), 0, (0,) * lanes, (0,) * 4),
+    )
+    fused.compiled(*arguments)(*arguments)
+    # After one step the mean of the gradients is a tenth of the gradient.
+    gradient = m.reshape(-1, lanes).T / (1 - kernel.BETA_1)
+    step = 1e-6
+    for p in range(start.shape[1]):
+        up, down = start.copy(), start.copy()
+        up[:, p] += step
+        down[:, p] -= step
+        slope = (losses(up) - losses(down)) / (2 * step)
+        np.testing.assert_allclose(gradient[:, p], slope, rtol=1e-5, atol=1e-6)
+
+
+def test_tanh_of_the_kernel(rng):
+    import numba
+
+    @numba.njit
+    def evaluate(x, y, lanes):
+        for k in range(len(x) // len(lanes)):
+            kernel.store(y, k, kernel.tanh(kernel.load(x, k, lanes, (0,))))
+
+    x = np.concatenate([rng.normal(size=2**20) * s for s in (1e-3, 0.3, 1, 4, 100)])
+    x = np.concatenate([x, np.linspace(0, 12, 2**20), [0, np.inf, -np.inf, 1e-40] * 4])
+    x = x.astype(np.float32)
+    y = np.empty_like(x)
+    evaluate(x, y, (0,) * 16)
+    exact = np.tanh(x.astype(float))
+    assert (np.abs(y - exact) <= 6 * np.spacing(np.abs(exact).astype(np.float32))).all()
+    nothing = np.full(16, np.nan, np.float32)
+    evaluate(nothing, y, (0,) * 16)
+    assert np.isnan(y[:16]).all()
+
+
+def test_kernel_shuffles_like_everyone_else():
+    order = np.tile(np.arange(50, dtype=np.int32), (3, 1))
+    expected = permutations([7, 8, 2**31 - 1], [12], 50)[:, 0]
+    for lane, seed in enumerate([7, 8, 2**31 - 1]):
+        kernel.shuffle(order, lane, np.uint64(seed), 12, np.empty(50, np.int32))
+    np.testing.assert_array_equal(order, expected)
+
+
+def test_result_does_not_depend_on_threads():
+    problem = make_problem(range(50), epochs=5)
+    before, records = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            records.append(fit_with(problem, make_engine("fused", problem)))
+    finally:
+        torch.set_num_threads(before)
+    same(*records)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trouble", ["no place for a cache", "damaged"])
+def test_kernel_works_whatever_is_wrong_with_its_cache(tmp_path, trouble):
+    package = tmp_path / "iksamples"
+    shutil.copytree(
+        Path(kernel.__file__).parents[1], package, ignore=shutil.ignore_patterns("__pycache__")
+    )
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:];"
+        "import iksamples, test_training_engine as t;"
+        "assert iksamples.__file__.startswith(sys.argv[1]), iksamples.__file__;"
+        "p = t.make_problem(epochs=3);"
+        "print(t.fit_with(p, t.make_engine('fused', p)).parameters.sum())"
+    )
+    environment = {**os.environ, "HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-c", code, str(tmp_path), str(Path(__file__).parent)]
+
+    def run():
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    if trouble == "damaged":
+        first = run()
+        files = [*package.rglob("*.nbi"), *package.rglob("*.nbc")]
+        assert len(files) == 2
+        for file in files:
+            file.write_bytes(b"not what it was")
+        assert run() == first
+    else:
+        (package / "training" / "__pycache__").write_text("a file where the folder should be")
+        problem = make_problem(epochs=3)
+        expected = fit_with(problem, make_engine("fused", problem)).parameters.sum()
+        assert run().strip() == str(expected)
+        assert not list(tmp_path.rglob("*.nbi"))

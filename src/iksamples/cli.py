@@ -83,7 +83,6 @@ def samples(
     from iksamples.samples.dataset import record_samples
 
     study, chain = _open(study_file)
-    # All of the study, not only this grid: whatever cannot be done is known before training.
     _require_feasible(study, chain)
     sets = sample_sets(study)
     if name not in sets:
@@ -238,14 +237,11 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
 
 
 def _require_feasible(study: "Study", chain: "SerialChain") -> None:
-    """Everything that can be known to fail before a sample is taken."""
+    """What a job for one set of samples cannot see of the rest, before anything is trained."""
     from iksamples.evaluation.paths import require_reachable
-    from iksamples.results import sample_sets
-    from iksamples.samples.dataset import record_samples, region_points
+    from iksamples.samples.dataset import require_workspace
 
-    for design, m in sample_sets(study).values():
-        record_samples(study, chain, design, m)
-    region_points(study, chain, study.evaluation.cube_points)
+    require_workspace(study, chain)
     require_reachable(study, chain)
 
 

@@ -25,6 +25,7 @@ _FRESH_STREAM = {"validation": 1, "test": 2}
 _DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
 _MAX_DRAWS = 1000
 _REGION_POINTS = 4096
+_LATTICE = 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,6 +268,20 @@ def _usable(study: Study, chain: SerialChain, n: int, draw: Callable[[int], Floa
         f"The workspace: of the points drawn only {len(found)} of the {n} needed can be used. "
         "Move it, or widen robot.limits_rad."
     )
+
+
+def require_workspace(study: Study, chain: SerialChain) -> None:
+    """Stops where part of the workspace cannot be used and the study does not mask it.
+
+    Raises:
+        IksamplesError: Names a point that cannot be used, and why.
+    """
+    if study.samples.unreachable == "error":
+        box = study.workspace
+        lattice = designs.full_grid(box.lower_mm, box.upper_mm, _LATTICE)
+        reach(study, chain, lattice).require_usable(
+            chain, "The workspace", "Move it, or set samples.unreachable: mask."
+        )
 
 
 def region_points(study: Study, chain: SerialChain, n: int) -> Floats:
