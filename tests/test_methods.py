@@ -12,6 +12,7 @@ from iksamples.bounds.table import TableCells, certify_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.methods import gaussian_process, rbf
+from iksamples.methods import predictor as predictor_module
 from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.methods.registry import FITS, fit
 from iksamples.methods.tensor import tensor_grid
@@ -72,16 +73,19 @@ def test_a_kind_that_is_not_there_is_named(study, chain):
 
 
 @pytest.mark.parametrize("kind", FITS)
-def test_one_member_the_same_every_time_and_however_many_points(kind, study, chain, rng):
-    samples = grid_samples(study, chain, 3)
-    points = uniform(study, rng, 10_000)  # more than are answered at once
-    answers = fit(kind, study, chain, samples).predict(points)
-    assert answers.shape == (1, 10_000, 3)
-    again = fit(kind, study, chain, samples)
-    assert again.seeds == (0,)
+def test_one_member_the_same_every_time_and_however_many_points(
+    kind, study, chain, rng, monkeypatch
+):
+    monkeypatch.setattr(predictor_module, "_BLOCK", 16)  # points that are answered at once
+    samples = grid_samples(study, chain, 4)
+    points = uniform(study, rng, 50)
+    first, again = fit(kind, study, chain, samples), fit(kind, study, chain, samples)
+    answers = first.predict(points)
+    assert answers.shape == (1, 50, 3)
+    assert first.seeds == (0,)
     np.testing.assert_array_equal(again.predict(points), answers)
-    few = points[[0, 5000, 9999]]
-    np.testing.assert_allclose(again.predict(few)[0], answers[0, [0, 5000, 9999]], atol=1e-9)
+    some = [0, 15, 16, 49]
+    np.testing.assert_allclose(again.predict(points[some])[0], answers[0, some], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", FROM_SAMPLES)
@@ -443,6 +447,20 @@ def test_cells_bounds_close_on_the_error_as_the_cube_of_the_box(study, chain):
         excess.append(np.median(upper - values.max(axis=1)))
     assert excess[1] < excess[0] / 3
     assert excess[2] < excess[1] / 3
+
+
+def test_bounds_hold_where_the_error_is_largest_inside_a_box(study, chain):
+    """There the corners' errors are smaller to second order, the remainder is of third."""
+    samples = grid_samples(study, chain, 2)
+    cells = TableCells.of(study, chain, samples)
+    peak = certify_table(study, chain, samples, rtol=1e-6).argmax_mm
+    centre = (peak - cells.low_mm) / cells.size_mm
+    error = cells.errors_mm(np.zeros(1, int), centre)[0]
+    for radius in (0.1, 0.03, 0.01, 0.003):
+        box = np.full((1, 3), radius)
+        upper, corner, _ = cells.upper_bounds_mm(np.zeros(1, int), centre, box)
+        assert cells.errors_mm(np.zeros(1, int), corner)[0] < error
+        assert error <= upper[0]
 
 
 def test_an_unfinished_search_still_bounds(study, chain):

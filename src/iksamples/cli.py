@@ -115,16 +115,17 @@ def evaluate(
     study_file: StudyFile, samples_files: SamplesFiles, method: MethodName, folder: MethodFolder
 ) -> None:
     """Send a method along the paths and over the workspace; measure through the FK."""
-    from iksamples.evaluation.errors import cube_errors, summarise, track_paths
-    from iksamples.training.network import StackedMLP
+    from iksamples.evaluation.step import evaluate as measure
 
     study, chain = _open(study_file)
+    if method not in study.all_methods:
+        known = ", ".join(study.all_methods)
+        raise IksamplesError(f"{study_file}: no method '{method}'; there are {known}.")
     for samples in _load(samples_files):
         cell = folder / samples.label
-        predictor = StackedMLP.load(cell / "weights.safetensors")
-        waypoints = track_paths(study, chain, predictor)
-        cube = cube_errors(study, chain, predictor)
-        tables = {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}
+        tables, why_not = measure(study, chain, samples, method, cell)
+        if why_not:
+            typer.echo(why_not, err=True)
         for name, table in tables.items():
             with _whole(cell / f"{name}.parquet") as file:
                 table.to_parquet(file)

@@ -84,6 +84,7 @@ except IksamplesError as error:
     stop(error)
 
 LABELS = list(sample_sets(STUDY))
+KINDS = {name: method.kind for name, method in STUDY.all_methods.items()}
 
 
 wildcard_constraints:

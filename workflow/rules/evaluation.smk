@@ -40,7 +40,8 @@ rule evaluate:
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation"),
-        code=source_digest("iksamples.evaluation.errors"),
+        kind=lookup("{method}", within=KINDS),
+        code=source_digest("iksamples.evaluation.step"),
         folder="results/{study}/{method}",
     shell:
         "iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.method}"

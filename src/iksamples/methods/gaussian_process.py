@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sklearn.gaussian_process import GaussianProcessRegressor
 
 MOST_SAMPLES = 4096
-MOST_TO_TUNE = 512
+MOST_TO_TUNE = 256
 """Samples that choose the kernel's two numbers; the cost grows with their cube."""
 JITTER = 1e-10
 """Variance added on the kernel's diagonal, as a share of the joints': keeps the solve sound."""
@@ -41,8 +41,8 @@ def regressor(samples: SampleSet) -> "GaussianProcessRegressor":
 
     Matern kernel of smoothness 5/2 whose variance and length maximise the marginal likelihood
     (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, sec. 2.2, 4.2.1 and 5.4.1)
-    of all samples, or of 512 drawn from them. The smoother squared exponential would suit a smooth
-    arm better still, but its matrix is singular in double precision from some hundred samples on,
+    of all samples, or of 256 drawn from them. The squared exponential would suit a smooth arm
+    better still, but its matrix is close to singular in double precision already for a grid of 64,
     and the search for its length then ends anywhere. Joints are centred and scaled to unit
     variance.
 

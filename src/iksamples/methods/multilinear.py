@@ -10,10 +10,10 @@ from iksamples.study import Study
 def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     """Interpolates linearly along each axis in turn, in the cell that a position lies in.
 
-    What a controller without a library would do. The error of a smooth arm is at most
-    h^2 / 8 times the sum over the axes of the largest second derivative of the joint values
-    (de Boor, *A Practical Guide to Splines*, ch. III and XVII), so halving the spacing h quarters
-    it. Outside the grid the outermost cells go on.
+    What a controller without a library would do. A joint value is off by at most h^2 / 8 times the
+    sum over the axes of its largest second derivative (de Boor, *A Practical Guide to Splines*,
+    ch. III and XVII), so halving the spacing h quarters the error. Outside the grid the outermost
+    cells go on. ``bounds.table`` certifies its worst case.
 
     Raises:
         NotApplicableError: The samples are no full grid.

@@ -16,7 +16,8 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     interpolation", *SIAM Review* 46, 2004). On Chebyshev nodes this is Chebyshev interpolation,
     whose error falls geometrically with m where the arm is away from its singular poses. On evenly
     spaced nodes beware of Runge's phenomenon: with m the polynomial comes to swing between the
-    outermost nodes, and it multiplies the noise of recorded samples by up to about 2^m per axis.
+    outermost nodes, and the factor by which it magnifies the noise of recorded samples grows like
+    2^m per axis.
 
     Raises:
         NotApplicableError: The samples are no full grid.

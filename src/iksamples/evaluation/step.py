@@ -1,0 +1,55 @@
+"""The evaluation step: a method on one set of samples, asked everywhere."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from iksamples.evaluation.errors import cube_errors, summarise, track_paths
+from iksamples.methods.predictor import NotApplicableError, Predictor
+from iksamples.methods.registry import fit
+from iksamples.robot.chain import SerialChain
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study
+from iksamples.training.network import StackedMLP
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TABLES = ("waypoints", "cube", "errors")
+"""The tables that an evaluation writes, by file name."""
+
+
+def evaluate(
+    study: Study, chain: SerialChain, samples: SampleSet, method: str, folder: Path
+) -> "tuple[dict[str, pd.DataFrame], str | None]":
+    """Measures a method's errors along the paths and over the workspace.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        samples: What the method learnt from, or is fitted to now if it is no network.
+        method: Name of the method.
+        folder: Where a network's weights are.
+
+    Returns:
+        A table for each of ``TABLES``, and None; or empty tables and why the method cannot use
+        these samples.
+    """
+    import pandas as pd
+
+    kind = study.all_methods[method].kind
+    try:
+        predictor: Predictor = (
+            StackedMLP.load(folder / "weights.safetensors")
+            if kind == "network"
+            else fit(kind, study, chain, samples)
+        )
+    except NotApplicableError as reason:
+        empty = {
+            "waypoints": pd.DataFrame({"path": [], "seed": [], "error_mm": []}),
+            "cube": pd.DataFrame({"point": [], "seed": [], "error_mm": []}),
+        }
+        return {**empty, "errors": summarise(**empty)}, str(reason)
+    waypoints = track_paths(study, chain, predictor)
+    cube = cube_errors(study, chain, predictor)
+    return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}, None
