@@ -6,7 +6,7 @@ import pytest
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.evaluation.paths import require_reachable, waypoints_mm
-from iksamples.samples.dataset import region_points
+from iksamples.samples.record import region_points
 from iksamples.study import DoubleRectangle, Heart, parse_study
 from iksamples.training.network import StackedMLP
 

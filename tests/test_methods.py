@@ -18,7 +18,7 @@ from iksamples.methods.registry import FITS, fit
 from iksamples.methods.tensor import tensor_grid
 from iksamples.robot.chain import SerialChain
 from iksamples.robot.closed_form import inverse
-from iksamples.samples.dataset import grid_samples, region_points
+from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import MethodKind, parse_study
 
 

@@ -9,7 +9,7 @@ import pytest
 from iksamples.bounds import paper
 from iksamples.bounds.audit import audit, input_jacobian
 from iksamples.evaluation.errors import cube_errors
-from iksamples.samples.dataset import grid_samples, region_points
+from iksamples.samples.record import grid_samples, region_points
 from iksamples.sizing.table import paper_table
 from iksamples.study import parse_study
 from iksamples.training.network import StackedMLP

@@ -22,7 +22,7 @@ from iksamples.recording.record import blues, path_breaks, record_path
 from iksamples.recording.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.results import Cell, cells
 from iksamples.robot.chain import SerialChain
-from iksamples.samples.dataset import grid_samples
+from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
 from iksamples.training.network import StackedMLP
 

@@ -29,7 +29,8 @@ from iksamples.report.verdict import verdict
 from iksamples.report.write import write_report
 from iksamples.results import cells
 from iksamples.robot.workspace import study_chain
-from iksamples.samples.dataset import SampleSet, grid_samples
+from iksamples.samples.dataset import SampleSet
+from iksamples.samples.record import grid_samples
 from iksamples.sizing.table import study_table
 from iksamples.study import Study, parse_study
 from iksamples.training.network import StackedMLP

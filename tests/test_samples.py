@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from iksamples.errors import IksamplesError
-from iksamples.samples.dataset import SampleSet, grid_samples, record_samples, region_points
+from iksamples.samples.dataset import SampleSet
 from iksamples.samples.designs import (
     fill_distance_mm,
     full_grid,
     grid_fill_distance_mm,
     grid_spacing_mm,
 )
+from iksamples.samples.record import grid_samples, record_samples, region_points
 from iksamples.study import parse_study
 
 

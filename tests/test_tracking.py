@@ -21,7 +21,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.results import Cell, cells
 from iksamples.robot.workspace import study_chain
-from iksamples.samples.dataset import grid_samples
+from iksamples.samples.record import grid_samples
 from iksamples.sizing.table import study_table
 from iksamples.study import Study, Tracking, parse_study
 from iksamples.tracking.content import STUDY_KEY, study_runs
@@ -408,7 +408,9 @@ def test_an_unusable_store_is_one_line(small: Study, results: list[Cell], unusab
 @pytest.mark.slow
 def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell]) -> None:
     # What a kill during its making leaves behind.
-    Path(".unfinished-mlflow.db").write_bytes(b"half of a database")
+    Path(".unfinished-mlflow.db").mkdir()
+    Path(".unfinished-mlflow.db/mlflow.db").write_bytes(b"half of a database")
+    Path(".unfinished-mlflow.db/mlflow.db-journal").write_bytes(b"and its journal")
     log(at(small, None), results)
     assert {path.name for path in Path().iterdir()} == {"mlflow.db", "mlruns"}
     assert len(runs_by_key(DEFAULT_URI)) == RUNS
@@ -425,7 +427,9 @@ def server(tmp_path: Path) -> Iterator[str]:
     call = [str(Path(sys.executable).with_name("mlflow")), "server", "--workers", "1"]
     call += ["--host", "127.0.0.1", "--port", str(port)]
     with (folder / "log").open("w") as output:
-        process = subprocess.Popen(call, cwd=folder, stdout=output, stderr=output)
+        # Without workers for jobs, which take long to start and to stop.
+        calm = {**os.environ, "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+        process = subprocess.Popen(call, cwd=folder, env=calm, stdout=output, stderr=output)
         try:
             uri = f"http://127.0.0.1:{port}"
             for _ in range(240):

@@ -8,7 +8,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
-from iksamples.samples.dataset import grid_samples
+from iksamples.samples.record import grid_samples
 from iksamples.study import parse_study
 from iksamples.training import run
 from iksamples.training.network import StackedMLP

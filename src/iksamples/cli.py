@@ -54,7 +54,7 @@ def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
     from iksamples.results import networks, sample_sets
     from iksamples.robot.workspace import reach
-    from iksamples.samples.dataset import record_samples, region_points
+    from iksamples.samples.record import record_samples, region_points
 
     study, chain = _open(study_file)
     _require_feasible(study, chain)
@@ -80,7 +80,7 @@ def samples(
 ) -> None:
     """Record one set of samples: positions and the joint angles that reach them."""
     from iksamples.results import sample_sets
-    from iksamples.samples.dataset import record_samples
+    from iksamples.samples.record import record_samples
 
     study, chain = _open(study_file)
     _require_feasible(study, chain)
@@ -240,7 +240,7 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
 def _require_feasible(study: "Study", chain: "SerialChain") -> None:
     """What a job for one set of samples cannot see of the rest, before anything is trained."""
     from iksamples.evaluation.paths import require_reachable
-    from iksamples.samples.dataset import require_workspace
+    from iksamples.samples.record import require_workspace
 
     require_workspace(study, chain)
     require_reachable(study, chain)

@@ -174,7 +174,11 @@ class HeldOut(Section):
 class Training(Section):
     """How the networks are trained."""
 
-    optimizer: Literal["adam"] = Field("adam", description="Optimiser.")
+    optimizer: Literal["adam", "levenberg-marquardt"] = Field(
+        "adam",
+        description="Optimiser. Levenberg-Marquardt takes all samples at once, an epoch is one "
+        "iteration, and learning rate, schedule and batch size do not matter.",
+    )
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Step size of the optimiser.")
     schedule: Literal["constant", "cosine", "plateau"] = Field(
         "constant",

@@ -23,7 +23,7 @@ rule samples:
         settings=settings("robot", "workspace"),
         placing=STUDY.samples.model_dump_json(exclude={"designs", "points_per_axis"}),
         held_out=STUDY.training.held_out.model_dump_json(),
-        code=source_digest("iksamples.samples.dataset"),
+        code=source_digest("iksamples.samples.record"),
     shell:
         "iksamples samples {params.study:q} --name {wildcards.samples}"
         " --output {output:q} 2> {log:q}"

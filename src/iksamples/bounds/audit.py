@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from iksamples.bounds import paper
 from iksamples.robot.chain import Floats, SerialChain
-from iksamples.samples.dataset import SampleSet, region_points
+from iksamples.samples.dataset import SampleSet
+from iksamples.samples.record import region_points
 from iksamples.study import Study
 from iksamples.training.network import ACTIVATIONS, StackedMLP
 

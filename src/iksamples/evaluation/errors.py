@@ -8,7 +8,8 @@ import numpy as np
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.methods.predictor import Predictor
 from iksamples.robot.chain import Floats, SerialChain
-from iksamples.samples.dataset import AXES, region_points
+from iksamples.samples.dataset import AXES
+from iksamples.samples.record import region_points
 from iksamples.study import Study
 
 

@@ -50,7 +50,7 @@ def layout(
     everything = rrb.Spatial3DView(
         origin="/",
         contents=["+ /**", "- /samples/**", f"+ /samples/{arm.label}", "- /error/**", "- /about"],
-        name=f"Arm and all grids: {path_name}",
+        name=f"Arm and all networks: {path_name}",
         background=WHITE,
         # The viewer draws a URDF's boxes and cylinders as glass unless told otherwise.
         defaults=[
@@ -79,7 +79,9 @@ def layout(
     ]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(everything, rrb.Grid(*one_by_one, name="Each grid by itself"), active_tab=0),
+            rrb.Tabs(
+                everything, rrb.Grid(*one_by_one, name="Each network by itself"), active_tab=0
+            ),
             rrb.Vertical(
                 rrb.TimeSeriesView(
                     origin="/error",
@@ -139,8 +141,8 @@ Two timelines, to choose from at the lower left:
 {rows}
 
 {diverged}
-Of each grid's {arm.n_seeds} seeds the one with the median error on this path is shown. The second
-tab above the scene has every grid by itself with its own training points.
+Of the {arm.n_seeds} seeds trained on each set of samples the one with the median error on this path
+is shown. The second tab above the scene has every network by itself with its own training points.
 
 Lengths in the scene are in metres. Joint values outside the joint limits are drawn as they are.
 Study {study.digest()}, iksamples {__version__}, Rerun {rr.__version__}.

@@ -32,6 +32,8 @@ _AXES_OF_INTEREST = (
 )
 _STATISTICS = ("error_mean_mm", "error_p95_mm", "error_max_mm")
 _LOSSES = ("train_loss_rad2", "validation_loss_rad2")
+_RED = "#d62728"
+_LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 _TABLES = ("history", "members", "errors", "bounds")
 
 
@@ -68,6 +70,7 @@ class RunContent:
         metrics: Name, value and step; steps of a curve are epochs or numbers of samples.
         dataset: What the networks learnt from.
         artifacts: Files that go with the run.
+        colour: Colour of the run's curves (#rrggbb), else MLflow picks one.
     """
 
     key: str
@@ -79,11 +82,12 @@ class RunContent:
     metrics: list[tuple[str, float, int]]
     dataset: Samples | None = None
     artifacts: list[Path] = field(default_factory=list)
+    colour: str = ""
 
     def digest(self) -> str:
         """Twelve hexadecimal digits of everything the run holds."""
         dataset = self.dataset and (self.dataset.name, self.dataset.digest)
-        parts = (self.name, self.parent, self.note, self.params, self.metrics, dataset)
+        parts = (self.name, self.parent, self.note, self.params, self.metrics, dataset, self.colour)
         content = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
         for path in self.artifacts:
             content.update(path.name.encode() + path.read_bytes())
@@ -103,7 +107,11 @@ def study_runs(study: Study, cells: Iterable[Cell], table_path: Path) -> Iterato
     table = pd.read_csv(table_path)
     rows = {row["samples_per_axis"]: row for _, row in table.iterrows()}
     cells = list(cells)
-    grids = [_grid_run(study, cell, rows[cell.samples.points_per_axis]) for cell in cells]
+    colours = [_shade(share) for share in np.linspace(0, 1, len(cells))]
+    grids = [
+        _grid_run(study, cell, rows[cell.samples.points_per_axis], colour)
+        for cell, colour in zip(cells, colours, strict=True)
+    ]
     yield _study_run(study, grids, table_path)
     for cell, grid in zip(cells, grids, strict=True):
         yield grid
@@ -145,25 +153,28 @@ def _study_run(study: Study, grids: list[RunContent], table_path: Path) -> RunCo
     return RunContent(
         STUDY_KEY,
         "study",
-        f"{study.name}: all grids",
+        f"{study.name}: all sample sizes",
         None,
         note,
         {**study_params(study), "n_seeds": str(study.training.seeds)},
         metrics,
         artifacts=[table_path, *([settings] if settings.exists() else [])],
+        colour=_RED,
     )
 
 
-def _grid_run(study: Study, cell: Cell, row: "pd.Series") -> RunContent:
+def _grid_run(study: Study, cell: Cell, row: "pd.Series", colour: str) -> RunContent:
     """A grid's run: its row of the table, the other paths, and the mean loss over its seeds."""
     samples = cell.samples
     n = samples.n_samples
     members = cell.table("members")
     sound = members.loc[~members["diverged"], "seed"]
-    # A label is the design's name and the points per axis.
-    design = cell.label.rstrip("0123456789")
-    params = study_params(study) | {"method": cell.method, "design": design}
-    params |= {name: f"{row[name]:g}" for name in _AXES_OF_INTEREST if name in row}
+    params = study_params(study) | {"method": cell.method, "design": samples.design}
+    params |= {
+        name: f"{row[name]:.10g}"
+        for name in _AXES_OF_INTEREST
+        if name in row and np.isfinite(row[name])
+    }
     metrics = [
         (str(name), float(value), n) for name, value in row.items() if name not in _AXES_OF_INTEREST
     ]
@@ -175,10 +186,10 @@ def _grid_run(study: Study, cell: Cell, row: "pd.Series") -> RunContent:
     metrics += _curves(history[history["seed"].isin(sound)].groupby("epoch", as_index=False).mean())
     columns = [f"{axis}_mm" for axis in AXES] + [f"q_{name}_rad" for name in samples.joint_names]
     note = (
-        f"{len(members)} networks trained on {n} samples ({samples.points_per_axis} per axis, "
-        f"{samples.spacing_mm:.4g} mm apart); means over these seeds. {_about_errors(study)} "
-        f"The step of an error is the number of samples, of a loss the epoch. Each seed is a run "
-        "below this one; `weights.safetensors` has the weights of all."
+        f"{len(members)} networks trained on {n} samples ({samples.design}, "
+        f"{samples.points_per_axis} points per axis); means over these seeds. "
+        f"{_about_errors(study)} The step of an error is the number of samples, of a loss the "
+        "epoch. Each seed is a run below this one; `weights.safetensors` has the weights of all."
     )
     return RunContent(
         f"{cell.method}/{cell.label}",
@@ -194,6 +205,7 @@ def _grid_run(study: Study, cell: Cell, row: "pd.Series") -> RunContent:
             cell.folder / "weights.safetensors",
             *(cell.folder / f"{name}.parquet" for name in _TABLES),
         ],
+        colour,
     )
 
 
@@ -235,7 +247,14 @@ def _seed_runs(study: Study, cell: Cell, grid: RunContent) -> Iterator[RunConten
             "",
             grid.params | own,
             _finite(metrics),
+            colour=grid.colour,
         )
+
+
+def _shade(share: float) -> str:
+    """A blue between light (few samples) and dark (many), as in the recordings."""
+    rgb = _LIGHT_BLUE + share * (_DARK_BLUE - _LIGHT_BLUE)
+    return "#" + "".join(f"{int(part):02x}" for part in rgb)
 
 
 def _about_errors(study: Study) -> str:

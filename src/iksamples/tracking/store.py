@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -131,9 +132,12 @@ def failing_plainly(uri: str) -> Iterator[None]:
         yield
     except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
         reason = str(error).strip().splitlines()[0]
+        if "Max retries exceeded" in reason:
+            reason = "no answer"
+        reason = reason.replace(urlsplit(uri).netloc, urlsplit(without_password(uri)).netloc)
         raise IksamplesError(
             f"tracking.uri: cannot use {without_password(uri)} ({reason[:200]}). Start that server "
-            "or name another store; what was logged so far is taken up by the next run."
+            "or name another store; the next run goes on with what is not logged yet."
         ) from None
 
 
@@ -158,6 +162,8 @@ def _log(
     tags = {"iksamples.kind": content.kind, **tags}
     if content.note:
         tags["mlflow.note.content"] = content.note
+    if content.colour:
+        tags["mlflow.runColor"] = content.colour
     run_id = client.create_run(where.experiment_id, start_ms, tags, content.name).info.run_id
     metrics = [Metric(name, value, start_ms, step) for name, value, step in content.metrics]
     params = [Param(name, value) for name, value in content.params.items()]
@@ -218,15 +224,17 @@ def _make_sqlite_file(uri: str) -> None:
     if database in (None, "", ":memory:") or Path(str(database)).exists():
         return
     path = Path(str(database))
+    # A folder, since SQLite keeps a journal beside an unfinished file.
     unfinished = path.with_name(f".unfinished-{path.name}")
-    unfinished.unlink(missing_ok=True)
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir(parents=True)
     try:
-        MlflowClient(f"sqlite:///{unfinished}").search_experiments(max_results=1)
-        os.link(unfinished, path)  # unlike a rename, never over a file that came meanwhile
+        MlflowClient(f"sqlite:///{unfinished / path.name}").search_experiments(max_results=1)
+        os.link(unfinished / path.name, path)  # unlike a rename, never over what came meanwhile
     except FileExistsError:
         pass
     finally:
-        unfinished.unlink(missing_ok=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 @contextmanager

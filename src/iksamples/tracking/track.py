@@ -48,25 +48,18 @@ def track(
     """
     # Before the first import of MLflow, which reads it then.
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    for noisy in ("alembic", "mlflow.store.db.utils"):
-        logging.getLogger(noisy).setLevel(logging.WARNING)
-    from mlflow.utils.git_utils import get_git_commit
-
+    for noisy in ("alembic", "mlflow.store.db.utils", "urllib3.connectionpool"):
+        logging.getLogger(noisy).setLevel(logging.ERROR)
+    # All of it read first, so that a missing file stops this before anything is written.
+    contents = list(study_runs(study, cells, Path(table_path)))
     uri = tracking_uri(study)
     client = connect(uri)
-    tags = {
-        "iksamples.study": study.digest(),
-        "mlflow.source.name": "iksamples",
-        "mlflow.source.type": "LOCAL",
-    }
-    if commit := get_git_commit("."):
-        tags["mlflow.source.git.commit"] = commit
     with failing_plainly(uri):
         where = experiment(client, study.name)
         client.set_experiment_tag(where.experiment_id, "mlflow.experimentKind", MODEL_TRAINING)
         note = _note(study, where.experiment_id)
         client.set_experiment_tag(where.experiment_id, "mlflow.note.content", note)
-        outcome = upsert(client, where, study_runs(study, cells, Path(table_path)), tags)
+        outcome = upsert(client, where, contents, source_tags(study))
     manifest = {
         "tracking_uri": without_password(uri),
         "experiment": where.name,
@@ -82,6 +75,19 @@ def track(
 def tracking_uri(study: Study) -> str:
     """The study's tracking URI, or the environment's, or a SQLite file in the working folder."""
     return study.tracking.uri or os.environ.get("MLFLOW_TRACKING_URI") or DEFAULT_URI
+
+
+def source_tags(study: Study) -> dict[str, str]:
+    """Where runs come from: the study's settings and the working folder's git commit."""
+    from mlflow.utils.git_utils import get_git_commit
+
+    tags = {
+        "iksamples.study": study.digest(),
+        "mlflow.source.name": "iksamples",
+        "mlflow.source.type": "LOCAL",
+    }
+    commit = get_git_commit(".")
+    return tags | ({"mlflow.source.git.commit": commit} if commit else {})
 
 
 def page(experiment_id: str) -> str:
@@ -100,8 +106,8 @@ def page(experiment_id: str) -> str:
 def _note(study: Study, experiment_id: str) -> str:
     """What the experiment's page says; it shows the first line until asked for more."""
     return (
-        f"[Charts of the grids]({page(experiment_id)}) of study {study.name}: how the position "
-        "error of a learned inverse kinematics falls with the number of samples.\n\n"
+        "How the position error of a learned inverse kinematics falls with more samples: "
+        f"[charts]({page(experiment_id)}).\n\n"
         f"{study.title}\n\n"
         "One run for the study, below it one per grid, below each grid one per seed. The step of "
         "an error is the number of samples, the step of a loss is the epoch. Lengths in mm, losses "

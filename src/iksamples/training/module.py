@@ -20,7 +20,9 @@ from iksamples.training.reference import ReferenceEngine, StackedAdam, forward, 
 
 
 class Engine(Protocol):
-    """A training loop."""
+    """A training loop, and the precision in which it keeps the parameters."""
+
+    dtype: torch.dtype
 
     def run(
         self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
@@ -68,12 +70,12 @@ class StackedTraining(pl.LightningModule):
         self.problem = problem
         self.engine = engine
         start = record.stack(*initial_weights(problem.sizes, problem.seeds))
-        self.flat = nn.Parameter(torch.from_numpy(start))
+        self.flat = nn.Parameter(torch.from_numpy(start).to(engine.dtype))
         self.progress = Progress(problem, self.flat.detach())
 
     def configure_optimizers(self) -> StackedAdam:
         """Adam on the flat parameters."""
-        return StackedAdam(self.flat, self.problem.training.learning_rate)
+        return StackedAdam(self.flat)
 
     def forward(self, x: Tensor) -> Tensor:
         """Joint values, shape (seeds, points, joints), for inputs of shape (points, in)."""
@@ -94,7 +96,7 @@ class StackedTraining(pl.LightningModule):
         last = self.progress.history[:, first + n_epochs - 2]
         for name, row in zip(record.METRICS[:2], last, strict=False):
             self.log(name.removesuffix("_rad2"), torch.nanmean(row))
-        if self.progress.patience and self.progress.all_stopped():
+        if self.progress.all_stopped():
             self.trainer.should_stop = True
 
     def result(self) -> record.Record:
@@ -106,13 +108,26 @@ class StackedTraining(pl.LightningModule):
         progress = self.progress
         return record.Record(
             np.array(self.problem.seeds, np.int64),
-            array(progress.final(self.flat.detach())),
+            array(progress.final(self.flat.detach()).float()),
             array(progress.history),
             array(progress.snapshot_epochs),
-            array(progress.snapshots),
+            array(progress.replay(self.flat.detach()).float()),
             array(progress.best_epoch),
             array(progress.stopped),
         )
+
+
+def make_engine(name: str, problem: Problem) -> Engine:
+    """The engine of that name, "fused", "reference" or "levenberg-marquardt"."""
+    if name == "levenberg-marquardt":
+        from iksamples.training.levenberg import LevenbergEngine
+
+        return LevenbergEngine(problem)
+    if name == "fused":
+        from iksamples.training.fused import FusedEngine
+
+        return FusedEngine(problem)
+    return ReferenceEngine(problem)
 
 
 def fit(

@@ -62,6 +62,8 @@ class Problem:
     @property
     def steps_per_epoch(self) -> int:
         """Optimiser steps of an epoch; the last mini-batch may be smaller than the others."""
+        if self.training.optimizer == "levenberg-marquardt":
+            return 1
         return -(-self.n_train // self.training.batch_size)
 
 
@@ -112,6 +114,14 @@ def split_grid(seeds: Sequence[int], n: int, held_out: HeldOut) -> tuple[Index, 
     n_validation, n_test = held_out_counts(n, held_out)
     validation, test, train = np.split(order, [n_validation, n_validation + n_test], axis=1)
     return np.sort(train), np.sort(validation), np.sort(test)
+
+
+def learning_rates(training: Training) -> NDArray[np.float64]:
+    """Learning rate of each epoch, before what a seed's own plateau makes of it."""
+    if training.schedule == "cosine":
+        phase = np.arange(training.epochs) / training.epochs
+        return training.learning_rate * 0.5 * (1 + np.cos(np.pi * phase))
+    return np.full(training.epochs, training.learning_rate)
 
 
 def snapshot_epochs(epochs: int, count: int) -> NDArray[np.int64]:

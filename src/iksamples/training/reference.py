@@ -17,7 +17,7 @@ os.environ.setdefault("MKL_CBWR", "AVX2,STRICT")
 import torch
 from torch import Tensor, nn
 
-from iksamples.training.problem import Problem
+from iksamples.training.problem import Problem, learning_rates
 from iksamples.training.progress import Progress
 from iksamples.training.shuffle import permutations
 
@@ -44,14 +44,13 @@ class StackedAdam(torch.optim.Optimizer):
     state, where a checkpoint finds them.
     """
 
-    def __init__(self, flat: nn.Parameter, learning_rate: float) -> None:
+    def __init__(self, flat: nn.Parameter) -> None:
         """Starts with zero moments.
 
         Args:
             flat: Parameters, shape (seeds, parameters).
-            learning_rate: Step size.
         """
-        super().__init__([flat], {"lr": learning_rate})
+        super().__init__([flat], {})
         self.flat = flat
         self.state[flat] = {"mean": torch.zeros_like(flat), "square": torch.zeros_like(flat)}
 
@@ -60,19 +59,20 @@ class StackedAdam(torch.optim.Optimizer):
         return closure() if closure else None
 
     @torch.no_grad()
-    def update(self, gradient: Tensor, step: int) -> None:
+    def update(self, gradient: Tensor, step: int, rate: Tensor) -> None:
         """One update of every seed.
 
         Args:
             gradient: Shape (seeds, parameters).
             step: Number of the update, counted from 1.
+            rate: Learning rate of each seed, shape (seeds,).
         """
         mean, square = self.state[self.flat]["mean"], self.state[self.flat]["square"]
         mean.mul_(BETA_1).add_(gradient, alpha=1 - BETA_1)
         square.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
         root = (1 - BETA_2**step) ** 0.5
-        rate = self.param_groups[0]["lr"] / (1 - BETA_1**step)
-        self.flat.addcdiv_(mean, (square.sqrt() / root).add_(EPSILON), value=-rate)
+        size = (rate / (1 - BETA_1**step))[:, None]
+        self.flat.sub_(size * mean / (square.sqrt() / root).add_(EPSILON))
 
 
 def layers(flat: Tensor, sizes: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
@@ -112,6 +112,8 @@ def seed_losses(
 class ReferenceEngine:
     """Trains blocks of epochs by automatic differentiation."""
 
+    dtype = torch.float32
+
     def __init__(self, problem: Problem) -> None:
         """Takes the problem whose seeds it trains."""
         self.problem = problem
@@ -142,8 +144,10 @@ class ReferenceEngine:
         stack = list(layers(flat, problem.sizes))
         leaves = [leaf.requires_grad_() for layer in stack for leaf in layer]
         size = problem.training.batch_size
+        rates = learning_rates(problem.training)
         for epoch in range(first, first + n_epochs):
             order = torch.from_numpy(permutations(problem.seeds, [epoch], problem.n_train)[:, 0])
+            rate = progress.factor * float(rates[epoch - 1])
             rows = train_rows.gather(1, order.to(device, torch.int64))
             x, y = inputs[rows], targets[rows]
             total = torch.zeros(problem.n_seeds, dtype=torch.float64, device=device)
@@ -152,7 +156,7 @@ class ReferenceEngine:
                 losses = seed_losses(stack, problem.activation, x[:, chosen], y[:, chosen])
                 slopes = torch.autograd.grad(losses.sum(), leaves)
                 gradient = torch.cat([slope.flatten(1) for slope in slopes], dim=1)
-                adam.update(gradient, (epoch - 1) * problem.steps_per_epoch + batch + 1)
+                adam.update(gradient, (epoch - 1) * problem.steps_per_epoch + batch + 1, rate)
                 total += losses.detach().double() * x[:, chosen].shape[1]
             with torch.no_grad():
                 metrics = [

@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 from iksamples.training.cache import Cache, cache_key
@@ -78,16 +79,42 @@ def train(
 
 
 def choose_engine(study: Study) -> str:
-    """The engine that trains a study: "fused" or "reference"."""
-    return "reference"
+    """The engine that trains a study: "fused", "reference" or "levenberg-marquardt".
+
+    Raises:
+        IksamplesError: The study asks for the fused engine and for what that cannot do.
+    """
+    asked, device = study.training.engine, study.training.accelerator
+    reason = None
+    if study.training.optimizer == "levenberg-marquardt":
+        reason = "training.optimizer: levenberg-marquardt"
+    elif study.network.activation not in ("relu", "tanh"):
+        reason = f"network.activation: {study.network.activation}"
+    elif device == "gpu" or (device == "auto" and _has_gpu()):
+        reason = f"training.accelerator: {device}"
+    if reason and asked == "fused":
+        raise IksamplesError(
+            f"training.engine: fused cannot do {reason}; set training.engine: auto or reference."
+        )
+    if study.training.optimizer == "levenberg-marquardt":
+        return "levenberg-marquardt"
+    return "reference" if reason or asked == "reference" else "fused"
+
+
+def _has_gpu() -> bool:
+    import torch
+
+    return torch.accelerator.is_available()
 
 
 def _fit(study: Study, samples: SampleSet, seeds: Sequence[int], engine: str, bar: Any) -> Record:
     """Trains some seeds; here, not above, torch and Lightning are imported."""
-    from iksamples.training.module import EpochBar, fit
+    from iksamples.training.module import EpochBar, fit, make_engine
 
     problem = pose_problem(study, samples, seeds)
-    return fit(problem, callbacks=[EpochBar(bar, len(seeds))] if bar else [])
+    return fit(
+        problem, make_engine(engine, problem), callbacks=[EpochBar(bar, len(seeds))] if bar else []
+    )
 
 
 def _bar(total: int, progress: bool) -> Any:

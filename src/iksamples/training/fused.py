@@ -1,0 +1,182 @@
+"""The fused engine: hands groups of seeds to the compiled training loop of ``kernel``.
+
+Seeds are cut into groups of ``LANES``; the last group is filled up with copies of the last seed,
+whose results are dropped. Groups are independent, so they run on as many threads as torch may use
+without any effect on the numbers.
+"""
+
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from iksamples.training import kernel
+from iksamples.training.problem import Problem, learning_rates
+from iksamples.training.progress import Progress
+from iksamples.training.reference import BETA_1, BETA_2, EPSILON, StackedAdam
+
+
+LANES = 16
+"""Seeds per group: one AVX-512 register of float32, two of AVX2."""
+
+
+class FusedEngine:
+    """Trains blocks of epochs of ReLU or tanh networks with Adam on the CPU."""
+
+    dtype = torch.float32
+
+    def __init__(self, problem: Problem) -> None:
+        """Takes the problem whose seeds it trains."""
+        self.problem = problem
+        n = problem.n_seeds
+        # Row of the stack that each lane of each group takes.
+        self.rows = np.minimum(np.arange(-(-n // LANES) * LANES), n - 1)
+        self.height = tile_height(problem.training.batch_size)
+
+    def run(
+        self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
+    ) -> None:
+        """Trains from epoch ``first`` for ``n_epochs`` epochs; see ``ReferenceEngine.run``."""
+        problem, settings = self.problem, self.problem.training
+        moments = adam.state[adam.flat]
+        stacked = [flat, moments["mean"], moments["square"], progress.kept]
+        w, m, v, kept = (self._pack(tensor.numpy()) for tensor in stacked)
+        n_groups, width = w.shape
+
+        epochs = np.arange(first, first + n_epochs)
+        chosen = np.nonzero(np.isin(progress.snapshot_epochs.numpy(), epochs))[0]
+        slots = np.full(n_epochs, -1)
+        slots[progress.snapshot_epochs.numpy()[chosen] - first] = np.arange(len(chosen))
+        snapshots = np.zeros((n_groups, len(chosen), width), w.dtype)
+        history = np.full((n_groups, n_epochs, 5, LANES), np.nan, w.dtype)
+        rates, epsilons = step_sizes(problem, epochs, w.dtype)
+
+        def lanes(values: Any) -> Any:
+            """Values per seed as values per group and lane."""
+            taken = np.asarray(values)[self.rows]
+            return taken.reshape(n_groups, LANES, *taken.shape[1:])
+
+        seeds = lanes(np.array(problem.seeds, np.uint64))
+        train_rows, validation_rows = lanes(problem.train_rows), lanes(problem.validation_rows)
+        best_loss, factor = lanes(progress.best_loss), lanes(progress.factor)
+        names = ("best_epoch", "waited", "stalled", "stopped")
+        counters = np.stack([lanes(getattr(progress, name)) for name in names], axis=1)
+
+        def arguments(group: int) -> tuple[Any, ...]:
+            return (
+                problem.inputs.astype(w.dtype, copy=False),
+                problem.targets.astype(w.dtype, copy=False),
+                train_rows[group],
+                validation_rows[group],
+                seeds[group],
+                np.array(problem.sizes),
+                kernel.ACTIVATIONS[problem.activation],
+                settings.batch_size,
+                first,
+                rates,
+                epsilons,
+                w[group],
+                m[group],
+                v[group],
+                history[group].reshape(-1),
+                slots,
+                snapshots[group].reshape(-1),
+                best_loss[group],
+                counters[group],
+                factor[group],
+                kept[group],
+                progress.patience,
+                progress.restore_best,
+                w.dtype.type(progress.min_delta),
+                progress.plateau,
+                (0,) * LANES,
+                (0,) * self.height,
+            )
+
+        train = compiled(*arguments(0))
+        with ThreadPoolExecutor(min(n_groups, torch.get_num_threads())) as pool:
+            list(pool.map(lambda group: train(*arguments(group)), range(n_groups)))
+
+        for tensor, packed in zip(stacked, (w, m, v, kept), strict=True):
+            tensor.copy_(torch.from_numpy(self._unpack(packed)))
+        n, taken = problem.n_seeds, slice(first - 1, first - 1 + n_epochs)
+        for name, values in zip(names, np.moveaxis(counters, 1, 0), strict=True):
+            getattr(progress, name).copy_(torch.from_numpy(values.reshape(-1)[:n]))
+        progress.best_loss.copy_(torch.from_numpy(best_loss.reshape(-1)[:n]))
+        progress.factor.copy_(torch.from_numpy(factor.reshape(-1)[:n]))
+        metrics = history.transpose(2, 1, 0, 3).reshape(5, n_epochs, -1)
+        progress.history[:, taken] = torch.from_numpy(metrics[:, :, :n])
+        for slot, row in enumerate(chosen):
+            progress.snapshots[row] = torch.from_numpy(self._unpack(snapshots[:, slot]))
+
+    def _pack(self, stacked: NDArray[Any]) -> NDArray[Any]:
+        """(seeds, parameters) as (groups, parameters * LANES), each group on a cache line."""
+        groups = stacked[self.rows].reshape(-1, LANES, stacked.shape[1]).transpose(0, 2, 1)
+        raw = np.empty(groups.size * groups.itemsize + 64, np.uint8)
+        start = -raw.ctypes.data % 64
+        packed = raw[start : start + groups.size * groups.itemsize].view(groups.dtype)
+        packed = packed.reshape(len(groups), -1)
+        packed[:] = groups.reshape(len(groups), -1)
+        return packed
+
+    def _unpack(self, packed: NDArray[Any]) -> NDArray[Any]:
+        """The reverse, without the copies that fill up the last group."""
+        lanes_last = packed.reshape(len(packed), -1, LANES).transpose(0, 2, 1)
+        return lanes_last.reshape(-1, lanes_last.shape[2])[: self.problem.n_seeds]
+
+
+def step_sizes(
+    problem: Problem, epochs: NDArray[np.int64], dtype: Any
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Adam's step size and epsilon of each step of some epochs, with the bias corrections in them.
+
+    ``lr m_hat / (sqrt(v_hat) + eps)`` is ``(lr s / c) m / (sqrt(v) + eps s)`` with
+    ``c = 1 - beta_1^t`` and ``s = sqrt(1 - beta_2^t)`` (Kingma and Ba, 2015, end of section 2).
+    """
+    steps = problem.steps_per_epoch
+    t = np.arange((epochs[0] - 1) * steps + 1, epochs[-1] * steps + 1, dtype=float)
+    root = np.sqrt(1 - BETA_2**t)
+    rates = np.repeat(learning_rates(problem.training)[epochs - 1], steps)
+    return (rates * root / (1 - BETA_1**t)).astype(dtype), (EPSILON * root).astype(dtype)
+
+
+def tile_height(batch_size: int) -> int:
+    """Samples in a tile: as many accumulators as the registers hold, fewer for tiny batches.
+
+    No result depends on it: samples are added one after another whatever the height.
+    """
+    from llvmlite import binding
+
+    wide = binding.get_host_cpu_features().get("avx512f", False)
+    return 1 if batch_size <= 2 else 8 if wide else 4
+
+
+def compiled(*arguments: Any) -> Callable[..., None]:
+    """The compiled training loop for arguments of these types."""
+    import numba
+
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", numba.core.errors.NumbaWarning)
+        try:
+            train = _dispatcher(cached=True)
+            train.compile(signature)
+        except Exception:
+            # The cache on disk may be read-only, full or damaged, none of which matters: compile
+            # again without it. What is wrong with the code itself will be raised here as well.
+            train = _dispatcher(cached=False)
+            train.compile(signature)
+    return train
+
+
+@cache
+def _dispatcher(cached: bool) -> Any:
+    import numba
+
+    return numba.njit(nogil=True, cache=cached)(kernel.train_group)

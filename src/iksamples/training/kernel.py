@@ -1,0 +1,618 @@
+"""The fused training loop: forward, backward and Adam of many small networks, compiled by numba.
+
+The seeds of a group lie in the lanes of vectors: number ``k`` of an array row belongs to seed ``k``
+of the group, and every operation acts on all lanes at once and on each by itself. So a seed's
+numbers cannot depend on its neighbours, and no sum is ever reordered. The samples of a mini-batch
+are taken in tiles: a tile is a stack of ``height`` vectors, one per sample, that stays in registers
+while the units and weights pass by.
+
+numba has no vector type, so ``Tile`` is one: intrinsics below emit the LLVM instructions. How many
+lanes and how tall a tile is are part of the arguments' *types* (the length of the tuples ``lanes``
+and ``rows``), since numba's cache on disk notices a changed type but not a changed global.
+
+Everything here is one file because the cache watches only the file of the function that it keeps.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, register_model
+
+
+ACTIVATIONS = {"relu": 0, "tanh": 1}
+"""Name -> number by which the kernel knows it."""
+
+# Best rational approximation x P(x^2) / Q(x^2) of tanh on [-9, 9] (Remez exchange, good to 2.1e-8
+# relative); all coefficients are positive, so nothing cancels.
+TANH_P = (
+    0.9999999794489935,
+    0.13381025416658995,
+    0.00349558791026175,
+    2.0609080280408788e-05,
+    1.3354660940723072e-08,
+)
+TANH_Q = (
+    1.0,
+    0.4671434100717474,
+    0.025876981254715183,
+    0.0003285634534006735,
+    7.776557626707216e-07,
+)
+TANH_END = 9.0
+
+BETA_1, BETA_2 = 0.9, 0.999
+
+
+class Tile(types.Type):
+    """``height`` vectors of ``lanes`` numbers."""
+
+    def __init__(self, dtype: Any, lanes: int, height: int) -> None:
+        """Takes the numbers' numba type and the shape."""
+        self.dtype, self.lanes, self.height = dtype, lanes, height
+        super().__init__(name=f"Tile({dtype}, {lanes}, {height})")
+
+
+@register_model(Tile)
+class _TileModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, tile: Tile) -> None:
+        super().__init__(manager, tile, _vector(tile))
+
+
+def _vector(tile: Tile) -> ir.VectorType:
+    """The LLVM type: all rows of a tile one after another; LLVM cuts it into registers."""
+    number = ir.DoubleType() if tile.dtype.bitwidth == 64 else ir.FloatType()
+    return ir.VectorType(number, tile.lanes * tile.height)
+
+
+def _arrange(builder: Any, value: Any, places: Any) -> Any:
+    """The vector of the numbers at the given places of a vector."""
+    mask = [ir.Constant(ir.IntType(32), place) for place in places]
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), len(mask)), mask)
+    return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), mask)
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, tile: Tile) -> Any:
+    """Pointer to tile ``index`` of a flat array."""
+    data = context.make_array(kind)(context, builder, array).data
+    start = builder.mul(index, ir.Constant(index.type, tile.lanes * tile.height))
+    return builder.bitcast(builder.gep(data, [start]), _vector(tile).as_pointer())
+
+
+@intrinsic
+def load(typing: Any, array: Any, index: Any, lanes: Any, rows: Any) -> Any:
+    """The tile at row ``index`` of a flat array."""
+    tile = Tile(array.dtype, lanes.count, rows.count)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = _place(context, builder, array, args[0], args[1], tile)
+        return builder.load(place, align=tile.dtype.bitwidth // 8)
+
+    return tile(array, types.int64, lanes, rows), emit
+
+
+@intrinsic
+def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Writes a tile to row ``index`` of a flat array."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = _place(context, builder, array, args[0], args[1], value)
+        builder.store(args[2], place, align=value.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, value), emit
+
+
+@intrinsic
+def fill(typing: Any, number: Any, like: Any) -> Any:
+    """A tile of height 1 with the same number in every lane."""
+    tile = Tile(like.dtype, like.lanes, 1)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        start = ir.Constant(_vector(tile), ir.Undefined)
+        start = builder.insert_element(start, args[0], ir.Constant(ir.IntType(32), 0))
+        return _arrange(builder, start, [0] * tile.lanes)
+
+    return tile(like.dtype, like), emit
+
+
+def _call(name: str, builder: Any, *vectors: Any) -> Any:
+    vector = vectors[0].type
+    suffix = f"v{vector.count}{'f64' if isinstance(vector.element, ir.DoubleType) else 'f32'}"
+    kind = ir.FunctionType(vector, [vector] * len(vectors))
+    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{suffix}")
+    return builder.call(function, vectors)
+
+
+def _broadcast(operands: tuple[Tile, ...]) -> Tile:
+    tallest = max(operands, key=lambda tile: tile.height)
+    return Tile(tallest.dtype, tallest.lanes, tallest.height)
+
+
+def _emitter(operation: Any, tile: Tile) -> Any:
+    """Code that applies an operation; a tile of height 1 stands for as many rows as are needed."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        operands = [
+            value
+            if kind.height == tile.height
+            else _arrange(builder, value, [*range(tile.lanes)] * tile.height)
+            for kind, value in zip(signature.args, args, strict=True)
+        ]
+        return operation(builder, *operands)
+
+    return emit
+
+
+def _one(operation: Any) -> Any:
+    @intrinsic
+    def function(typing: Any, a: Any) -> Any:
+        tile = _broadcast((a,))
+        return tile(a), _emitter(operation, tile)
+
+    return function
+
+
+def _two(operation: Any) -> Any:
+    @intrinsic
+    def function(typing: Any, a: Any, b: Any) -> Any:
+        tile = _broadcast((a, b))
+        return tile(a, b), _emitter(operation, tile)
+
+    return function
+
+
+def _three(operation: Any) -> Any:
+    @intrinsic
+    def function(typing: Any, a: Any, b: Any, c: Any) -> Any:
+        tile = _broadcast((a, b, c))
+        return tile(a, b, c), _emitter(operation, tile)
+
+    return function
+
+
+def _zero(vector: Any) -> Any:
+    return ir.Constant(vector.type, None)
+
+
+add = _two(lambda builder, a, b: builder.fadd(a, b))
+sub = _two(lambda builder, a, b: builder.fsub(a, b))
+mul = _two(lambda builder, a, b: builder.fmul(a, b))
+div = _two(lambda builder, a, b: builder.fdiv(a, b))
+sqrt = _one(lambda builder, a: _call("sqrt", builder, a))
+absolute = _one(lambda builder, a: _call("fabs", builder, a))
+# fmuladd is one instruction where the machine has one, and never a call to a library.
+fma = _three(lambda builder, a, b, c: _call("fmuladd", builder, a, b, c))
+# Where the second operand is not a number, so is the result: a diverged lane stays visible.
+largest = _two(lambda builder, a, b: builder.select(builder.fcmp_ordered(">=", a, b), a, b))
+smallest = _two(lambda builder, a, b: builder.select(builder.fcmp_ordered("<=", a, b), a, b))
+relu = _one(lambda builder, a: builder.select(builder.fcmp_ordered("<", a, _zero(a)), _zero(a), a))
+zeros = _one(lambda builder, a: _zero(a))
+where_positive = _two(
+    lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, _zero(a)), b, _zero(b))
+)
+
+
+@intrinsic
+def dot(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """``c`` plus the products of ``a`` and ``b``, added sample by sample."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        x, y, total = args
+        for row in range(max(a.height, b.height)):
+            places = range(row * c.lanes, (row + 1) * c.lanes)
+            left = x if a.height == 1 else _arrange(builder, x, places)
+            right = y if b.height == 1 else _arrange(builder, y, places)
+            total = _call("fmuladd", builder, left, right, total)
+        return total
+
+    return c(a, b, c), emit
+
+
+@numba.njit(forceinline=True)
+def tanh(x):  # type: ignore[no-untyped-def]
+    """tanh, within 6 units in the last place of float32 (it may exceed 1 by four of them)."""
+    x = largest(fill(-TANH_END, x), smallest(fill(TANH_END, x), x))
+    t = mul(x, x)
+    p = fma(t, fill(TANH_P[4], x), fill(TANH_P[3], x))
+    p = fma(t, p, fill(TANH_P[2], x))
+    p = fma(t, p, fill(TANH_P[1], x))
+    p = fma(t, p, fill(TANH_P[0], x))
+    q = fma(t, fill(TANH_Q[4], x), fill(TANH_Q[3], x))
+    q = fma(t, q, fill(TANH_Q[2], x))
+    q = fma(t, q, fill(TANH_Q[1], x))
+    q = fma(t, q, fill(TANH_Q[0], x))
+    return div(mul(x, p), q)
+
+
+@numba.njit
+def shuffle(order, lane, seed, epoch, draws):  # type: ignore[no-untyped-def]
+    """Puts a lane's rows into the order of (seed, epoch); see the module ``shuffle``."""
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    start = _mix(_mix(seed + golden) + np.uint64(epoch))
+    n = order.shape[1]
+    for i in range(1, n):
+        bits = _mix(start + np.uint64(i) * golden) >> np.uint64(32)
+        draws[i] = np.int32((bits * np.uint64(i + 1)) >> np.uint64(32))
+    for i in range(n - 1, 0, -1):
+        j = draws[i]
+        order[lane, i], order[lane, j] = order[lane, j], order[lane, i]
+
+
+@numba.njit(forceinline=True)
+def _mix(x):  # type: ignore[no-untyped-def]
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@intrinsic
+def collect(typing: Any, table: Any, column: Any, order: Any, at: Any, lanes: Any) -> Any:
+    """Every lane's own sample: ``table[order[lane, at], column]``."""
+    tile = Tile(table.dtype, lanes.count, 1)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        values = context.make_array(table)(context, builder, args[0])
+        orders = context.make_array(order)(context, builder, args[2])
+        width = builder.extract_value(values.shape, 1)
+        n = builder.extract_value(orders.shape, 1)
+        vector = ir.Constant(_vector(tile), ir.Undefined)
+        for lane in range(tile.lanes):
+            place = builder.add(builder.mul(n, ir.Constant(n.type, lane)), args[3])
+            row = builder.sext(builder.load(builder.gep(orders.data, [place])), n.type)
+            place = builder.add(builder.mul(row, width), args[1])
+            number = builder.load(builder.gep(values.data, [place]))
+            vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
+        return vector
+
+    return tile(table, types.int64, order, types.int64, lanes), emit
+
+
+@numba.njit
+def gather(table, order, first, count, out, lanes, rows):  # type: ignore[no-untyped-def]
+    """Copies ``count`` samples of every lane into the first tiles of ``out``.
+
+    What a tile has beyond ``count`` samples is filled with the first of them.
+    """
+    height = len(rows)
+    for r in range(height):
+        at = first + (r if r < count else 0)
+        for column in range(table.shape[1]):
+            store(out, column * height + r, collect(table, column, order, at, lanes))
+
+
+@numba.njit
+def forward(w, sizes, activation, h, lanes, rows):  # type: ignore[no-untyped-def]
+    """Sends the inputs in the first tiles of ``h`` through all layers, into the tiles after them.
+
+    Returns:
+        Index of the first output's tile.
+    """
+    x = p = 0
+    last = len(sizes) - 2
+    for layer in range(last + 1):
+        n_in, n_out = sizes[layer], sizes[layer + 1]
+        y = x + n_in
+        bias = p + n_in * n_out
+        for j in range(n_out):
+            total = fma(
+                load(h, x, lanes, rows),
+                load(w, p + j, lanes, (0,)),
+                load(w, bias + j, lanes, (0,)),
+            )
+            for i in range(1, n_in):
+                weight = load(w, p + i * n_out + j, lanes, (0,))
+                total = fma(load(h, x + i, lanes, rows), weight, total)
+            if layer < last:
+                total = tanh(total) if activation == 1 else relu(total)
+            store(h, y + j, total)
+        x = y
+        p = bias + n_out
+    return x
+
+
+@numba.njit
+def deviate(h, y, targets, d, n_out, count, scale, loss, lanes, rows):  # type: ignore[no-untyped-def]
+    """Puts the loss's slope at the outputs into ``d``; samples from ``count`` on do not count.
+
+    Returns:
+        ``loss`` plus the squared errors of the tile.
+    """
+    n_lanes, height = len(lanes), len(rows)
+    for j in range(n_out):
+        error = sub(load(h, y + j, lanes, rows), load(targets, j, lanes, rows))
+        if count < height:
+            store(d, y + j, error)
+            start = (y + j) * height * n_lanes
+            for k in range(start + count * n_lanes, start + height * n_lanes):
+                d[k] = 0
+            error = load(d, y + j, lanes, rows)
+        loss = dot(error, error, loss)
+        store(d, y + j, mul(error, scale))
+    return loss
+
+
+@numba.njit(forceinline=True)
+def adam(w, m, v, p, gradient, rate, epsilon, c1, c2, lanes):  # type: ignore[no-untyped-def]
+    """Moves parameter ``p`` of all lanes by one step."""
+    mean = fma(load(m, p, lanes, (0,)), fill(BETA_1, gradient), mul(gradient, c1))
+    square = fma(load(v, p, lanes, (0,)), fill(BETA_2, gradient), mul(mul(gradient, gradient), c2))
+    store(m, p, mean)
+    store(v, p, square)
+    move = div(mul(rate, mean), add(sqrt(square), epsilon))
+    store(w, p, sub(load(w, p, lanes, (0,)), move))
+
+
+@numba.njit
+def backward(  # type: ignore[no-untyped-def]
+    w, m, v, g, sizes, activation, h, d, first, final, rate, epsilon, lanes, rows
+):
+    """Gradient of a tile; the last tile of a mini-batch also updates the parameters.
+
+    A layer's weights pass by once: each sends the slope back to its input and gets its own. ``g``
+    carries the gradient from tile to tile.
+    """
+    zero, one = zeros(rate), fill(1.0, rate)
+    c1, c2 = fill(1 - BETA_1, rate), fill(1 - BETA_2, rate)
+    y = p = 0
+    for layer in range(len(sizes) - 1):
+        y += sizes[layer]
+        p += (sizes[layer] + 1) * sizes[layer + 1]
+    for layer in range(len(sizes) - 2, -1, -1):
+        n_in, n_out = sizes[layer], sizes[layer + 1]
+        x = y - n_in
+        p -= (n_in + 1) * n_out
+        # The bias is the row behind the kernel, its input is one.
+        for i in range(n_in + 1):
+            unit = load(h, x + i, lanes, rows)
+            slope = zeros(unit)
+            for j in range(n_out):
+                q = p + i * n_out + j
+                delta = load(d, y + j, lanes, rows)
+                gradient = zero if first else load(g, q, lanes, (0,))
+                if i < n_in:
+                    gradient = dot(unit, delta, gradient)
+                    slope = fma(delta, load(w, q, lanes, (0,)), slope)
+                else:
+                    gradient = dot(one, delta, gradient)
+                if final:
+                    adam(w, m, v, q, gradient, rate, epsilon, c1, c2, lanes)
+                else:
+                    store(g, q, gradient)
+            if layer > 0 and i < n_in:
+                if activation == 1:
+                    slope = mul(slope, sub(one, mul(unit, unit)))
+                else:
+                    slope = where_positive(unit, slope)
+                store(d, x + i, slope)
+        y = x
+
+
+@numba.njit
+def mean_loss(  # type: ignore[no-untyped-def]
+    w, sizes, activation, inputs, targets, order, h, d, y_true, lanes, rows
+):
+    """Mean squared error of every lane over its points, as a tile."""
+    n, height = order.shape[1], len(rows)
+    loss = zeros(load(w, 0, lanes, (0,)))
+    for first in range(0, n, height):
+        count = min(height, n - first)
+        gather(inputs, order, first, count, h, lanes, rows)
+        gather(targets, order, first, count, y_true, lanes, rows)
+        y = forward(w, sizes, activation, h, lanes, rows)
+        loss = deviate(h, y, y_true, d, sizes[-1], count, fill(1.0, loss), loss, lanes, rows)
+    return div(loss, fill(n * sizes[-1], loss))
+
+
+@numba.njit
+def kernel_statistics(w, sizes, lanes):  # type: ignore[no-untyped-def]
+    """Mean, mean absolute and largest absolute kernel entry of every lane, as tiles.
+
+    The sums are compensated (Kahan), so that they are good to the last place or so.
+    """
+    like = load(w, 0, lanes, (0,))
+    total = error = total_size = error_size = greatest = zeros(like)
+    p = n = 0
+    for layer in range(len(sizes) - 1):
+        for _ in range(sizes[layer] * sizes[layer + 1]):
+            entry = load(w, p, lanes, (0,))
+            size = absolute(entry)
+            greatest = largest(greatest, size)
+            total, error = compensate(total, error, entry)
+            total_size, error_size = compensate(total_size, error_size, size)
+            p += 1
+            n += 1
+        p += sizes[layer + 1]
+    count = fill(n, like)
+    return div(total, count), div(total_size, count), greatest
+
+
+@numba.njit(forceinline=True)
+def compensate(total, error, term):  # type: ignore[no-untyped-def]
+    """``total + term`` and what rounding has added to it so far."""
+    term = sub(term, error)
+    new = add(total, term)
+    return new, sub(sub(new, total), term)
+
+
+@numba.njit
+def _aligned(size, like):  # type: ignore[no-untyped-def]
+    """An array of zeros that starts on a cache line, so that no vector lies across two."""
+    line = 64 // like.itemsize
+    array = np.zeros(size + line, like.dtype)
+    start = (-array.ctypes.data % 64) // like.itemsize
+    return array[start : start + size]
+
+
+def train_group(  # type: ignore[no-untyped-def]
+    inputs,
+    targets,
+    train_rows,
+    validation_rows,
+    seeds,
+    sizes,
+    activation,
+    batch_size,
+    first_epoch,
+    rates,
+    epsilons,
+    w,
+    m,
+    v,
+    history,
+    slots,
+    snapshots,
+    best_loss,
+    counters,
+    factor,
+    kept,
+    patience,
+    restore_best,
+    min_delta,
+    plateau,
+    lanes,
+    rows,
+):
+    """Trains one group of seeds for a block of epochs.
+
+    Flat arrays hold one vector of lanes per row: parameter p of the seed in lane k is
+    ``w[p * lanes + k]``.
+
+    Args:
+        inputs: Shape (points, in).
+        targets: Shape (points, out).
+        train_rows: Rows each lane learns from, shape (lanes, n), int32.
+        validation_rows: Rows of its validation loss, shape (lanes, n_validation), int32.
+        seeds: Shape (lanes,), uint64.
+        sizes: Neurons of each layer, int64.
+        activation: Number of the activation, see ``ACTIVATIONS``.
+        batch_size: Samples per step.
+        first_epoch: First epoch of the block, counted from 1.
+        rates: Adam's step size, bias correction included, for each step of the block.
+        epsilons: Adam's epsilon, likewise.
+        w: Parameters, changed in place, flat.
+        m: Mean of the gradients, changed in place, flat.
+        v: Mean of their squares, changed in place, flat.
+        history: Filled: rows (epoch of the block, metric), flat.
+        slots: Where to put the snapshot of each epoch of the block, -1 for nowhere.
+        snapshots: Filled: rows (slot, parameter), flat.
+        best_loss: Shape (lanes,), changed in place like the next three.
+        counters: Best epoch, epochs since it, epochs since then or since the rate was halved, and
+            epoch of the stop, shape (4, lanes), int64.
+        factor: What the learning rate is multiplied with, shape (lanes,).
+        kept: Parameters put aside, flat.
+        patience: Epochs without improvement that stop a seed; 0: never.
+        restore_best: Put aside the parameters of the best epoch, not those of the stop.
+        min_delta: Smallest improvement that counts.
+        plateau: Epochs without improvement that halve the learning rate; 0: never.
+        lanes: A tuple as long as there are lanes.
+        rows: A tuple as long as a tile is high.
+    """
+    n_lanes, height = len(lanes), len(rows)
+    n, n_out, n_validation = train_rows.shape[1], sizes[-1], validation_rows.shape[1]
+    steps = -(-n // batch_size)
+    best_epoch, waited, stalled, stopped = 0, 1, 2, 3
+    n_units = 0
+    for layer in range(len(sizes)):
+        n_units += sizes[layer]
+    # One tile more: the bias row of the output layer's loop looks at it.
+    h = _aligned((n_units + 1) * height * n_lanes, w)
+    d = _aligned(n_units * height * n_lanes, w)
+    y_true = _aligned(n_out * height * n_lanes, w)
+    g = _aligned(len(w) if batch_size > height else n_lanes, w)
+    order = np.empty(train_rows.shape, np.int32)
+    draws = np.empty(n, np.int32)
+    for block_epoch in range(len(slots)):
+        epoch = first_epoch + block_epoch
+        running = 0
+        for lane in range(n_lanes):
+            running += counters[stopped, lane] == 0
+            for i in range(n):
+                order[lane, i] = train_rows[lane, i]
+            shuffle(order, lane, seeds[lane], epoch, draws)
+        if running == 0:
+            return
+        total = error = zeros(load(w, 0, lanes, (0,)))
+        for step in range(steps):
+            start = step * batch_size
+            size = min(batch_size, n - start)
+            scale = fill(2.0 / (size * n_out), total)
+            loss = zeros(total)
+            at = block_epoch * steps + step
+            rate = mul(fill(rates[at], total), load(factor, 0, lanes, (0,)))
+            epsilon = fill(epsilons[at], total)
+            for first in range(start, start + size, height):
+                count = min(height, start + size - first)
+                gather(inputs, order, first, count, h, lanes, rows)
+                gather(targets, order, first, count, y_true, lanes, rows)
+                y = forward(w, sizes, activation, h, lanes, rows)
+                loss = deviate(h, y, y_true, d, n_out, count, scale, loss, lanes, rows)
+                backward(
+                    w,
+                    m,
+                    v,
+                    g,
+                    sizes,
+                    activation,
+                    h,
+                    d,
+                    first == start,
+                    first + height >= start + size,
+                    rate,
+                    epsilon,
+                    lanes,
+                    rows,
+                )
+            total, error = compensate(total, error, loss)
+
+        row = 5 * block_epoch
+        store(history, row, div(total, fill(n * n_out, total)))
+        if n_validation > 0:
+            loss = mean_loss(
+                w,
+                sizes,
+                activation,
+                inputs,
+                targets,
+                validation_rows,
+                h,
+                d,
+                y_true,
+                lanes,
+                rows,
+            )
+            store(history, row + 1, loss)
+        mean, mean_size, greatest = kernel_statistics(w, sizes, lanes)
+        store(history, row + 2, mean)
+        store(history, row + 3, mean_size)
+        store(history, row + 4, greatest)
+
+        for lane in range(n_lanes):
+            if counters[stopped, lane] > 0:
+                for metric in range(5):
+                    history[(row + metric) * n_lanes + lane] = np.nan
+                continue
+            validation = history[(row + 1) * n_lanes + lane]
+            better = validation < best_loss[lane] - min_delta
+            if better:
+                best_loss[lane] = validation
+                counters[best_epoch, lane] = epoch
+                counters[waited, lane] = counters[stalled, lane] = 0
+            else:
+                counters[waited, lane] += 1
+                counters[stalled, lane] += 1
+            if plateau > 0 and counters[stalled, lane] >= plateau:
+                factor[lane] *= np.float32(0.5)
+                counters[stalled, lane] = 0
+            stops = patience > 0 and counters[waited, lane] >= patience
+            if stops:
+                counters[stopped, lane] = epoch
+            if patience > 0 and (better if restore_best else stops):
+                for p in range(lane, len(w), n_lanes):
+                    kept[p] = w[p]
+        if slots[block_epoch] >= 0:
+            for p in range(len(w)):
+                snapshots[slots[block_epoch] * len(w) + p] = w[p]

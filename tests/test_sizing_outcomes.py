@@ -1,0 +1,294 @@
+"""Outcomes read from a study's files, certificates, and why a method fails."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from iksamples.errors import IksamplesError
+from iksamples.results import Cell
+from iksamples.samples.record import record_samples
+from iksamples.sizing.causes import causes, loss_fall
+from iksamples.sizing.outcomes import (
+    COLUMNS,
+    Line,
+    all_cells,
+    certificates,
+    errors_at_samples,
+    errors_matrix,
+    outcomes,
+)
+from iksamples.sizing.size import answer_study
+from iksamples.study import parse_study
+from iksamples.training.network import StackedMLP
+
+
+SEEDS = 6
+
+
+def make_study(**settings):
+    return parse_study(
+        {
+            "name": "s",
+            "samples": {"points_per_axis": [2, 3]},
+            "training": {"seeds": SEEDS},
+            "methods": {"cubic": {"kind": "cubic"}},
+            **settings,
+        }
+    )
+
+
+def write_cell(cell, error, n=SEEDS, diverged=()):
+    """The files of a cell: the worst error of seed k over the workspace is ``error + k``."""
+    cell.folder.mkdir(parents=True, exist_ok=True)
+    seeds = np.arange(n)
+    parts = [
+        pd.DataFrame(
+            {
+                "region": region,
+                "seed": seeds,
+                "error_mean_mm": factor * (error + seeds) / 4,
+                "error_p95_mm": factor * (error + seeds) / 2,
+                "error_p99_mm": factor * (error + seeds) / 1.5,
+                "error_max_mm": factor * (error + seeds),
+            }
+        )
+        for region, factor in (("rectangles", 0.5), ("heart", 0.25), ("cube", 1.0))
+    ]
+    pd.concat(parts).to_parquet(cell.folder / "errors.parquet")
+    pd.DataFrame({"seed": seeds, "diverged": np.isin(seeds, diverged)}).to_parquet(
+        cell.folder / "members.parquet"
+    )
+    epochs = np.arange(1, 101)
+    pd.DataFrame(
+        {
+            "seed": np.repeat(seeds, 100),
+            "epoch": np.tile(epochs, n),
+            "train_loss_rad2": np.tile(np.full(100, 0.1), n),
+        }
+    ).to_parquet(cell.folder / "history.parquet")
+
+
+def constant_network(joints, seeds=SEEDS):
+    """Networks that answer the same joint values everywhere."""
+    return StackedMLP(
+        (np.zeros((seeds, 3, 4), np.float32), np.zeros((seeds, 4, 3), np.float32)),
+        (
+            np.zeros((seeds, 4), np.float32),
+            np.broadcast_to(np.float32(joints), (seeds, 3)).copy(),
+        ),
+        "relu",
+        np.zeros(3),
+        np.ones(3),
+        tuple(range(seeds)),
+    )
+
+
+@pytest.fixture
+def results(tmp_path, chain):
+    """A finished study: the network at 10 and 5 mm and more, cubic at 1 mm on the larger grid."""
+    study = make_study()
+    (tmp_path / "samples").mkdir()
+    for m in (2, 3):
+        record_samples(study, chain, "grid", m).save(tmp_path / "samples" / f"grid{m}.parquet")
+    for label, error in (("grid2", 10.0), ("grid3", 5.0)):
+        cell = Cell(tmp_path, "network", label)
+        write_cell(cell, error)
+        constant_network([0, 0, 0]).save(cell.folder / "weights.safetensors")
+    write_cell(Cell(tmp_path, "cubic", "grid3"), 1.0, n=1)
+    return tmp_path
+
+
+def read(results, **settings):
+    study = make_study(**settings)
+    return outcomes(study, all_cells(study, results), certificates(results))
+
+
+def certify(results, seeds=range(SEEDS), factor=1.01, label="grid3", **columns):
+    """Certificates of the network on the larger grid."""
+    m = int(label[-1])
+    table = pd.DataFrame(
+        {
+            "method": "network",
+            "samples_per_axis": m,
+            "n_samples": m**3,
+            "seed": list(seeds),
+            "sup_lower_mm": [5.0 + seed for seed in seeds],
+            "sup_upper_mm": [factor * (5.0 + seed) for seed in seeds],
+            "complete": True,
+            "verified": True,
+        }
+    ).assign(**columns)
+    table.to_csv(results / "certificates.csv", index=False)
+
+
+def test_one_row_per_method_samples_and_seed(results):
+    rows = read(results)
+    assert tuple(rows.columns) == COLUMNS
+    assert len(rows) == 2 * SEEDS + 1
+    assert rows["n_samples"].tolist() == [8] * SEEDS + [27] * SEEDS + [27]
+    assert rows["method"].tolist() == ["network"] * 2 * SEEDS + ["cubic"]
+    assert rows["error_mm"].tolist() == [10, 11, 12, 13, 14, 15, 5, 6, 7, 8, 9, 10, 1]
+    assert not rows["certified"].any()
+    matrix = errors_matrix(rows[rows["method"] == "network"])
+    np.testing.assert_array_equal(matrix[27], 5 + np.arange(SEEDS))
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "expected"),
+    [
+        ({"of": "mean"}, 10 / 4),
+        ({"of": "p95"}, 10 / 2),
+        ({"of": "p99"}, 10 / 1.5),
+        ({"of": "worst", "where": "heart"}, 10 / 4),
+        ({"of": "mean", "where": "rectangles"}, 10 / 8),
+    ],
+)
+def test_the_error_is_the_one_the_tolerance_is_about(results, tolerance, expected):
+    assert read(results, tolerance=tolerance)["error_mm"].iloc[0] == pytest.approx(expected)
+
+
+def test_certificates_replace_what_was_measured(results):
+    certify(results)
+    rows = read(results)
+    network = rows[(rows["method"] == "network") & (rows["n_samples"] == 27)]
+    np.testing.assert_allclose(network["error_mm"], 1.01 * (5 + np.arange(SEEDS)))
+    np.testing.assert_allclose(network["attained_mm"], 5 + np.arange(SEEDS))
+    assert rows["certified"].sum() == rows["verified"].sum() == SEEDS
+    # Only the worst case over the workspace is certified.
+    for tolerance in ({"of": "p99"}, {"where": "heart"}):
+        assert not read(results, tolerance=tolerance)["certified"].any()
+
+
+def test_certificates_of_some_seeds_leave_the_others_measured(results):
+    certify(results, seeds=[0, 2], verified=[True, False])
+    rows = read(results).query("n_samples == 27 and method == 'network'")
+    assert rows["certified"].tolist() == [True, False, True, False, False, False]
+    assert rows["verified"].tolist() == [True] + [False] * 5
+    assert rows["error_mm"].iloc[1] == 6
+
+
+def test_an_unfinished_certificate_still_bounds(results):
+    certify(results, factor=3.0, complete=False)
+    rows = read(results).query("n_samples == 27 and method == 'network'")
+    np.testing.assert_allclose(rows["error_mm"], 3 * (5 + np.arange(SEEDS)))
+    assert rows["certified"].all()
+
+
+def test_certificates_of_other_networks_are_noticed(results):
+    certify(results, factor=0.9)
+    with pytest.raises(IksamplesError, match="above its certified bound"):
+        read(results)
+    certify(results, seeds=[1, 1])
+    with pytest.raises(IksamplesError, match="in it twice"):
+        read(results)
+    pd.DataFrame({"method": ["network"]}).to_csv(results / "certificates.csv")
+    with pytest.raises(IksamplesError, match="no column samples_per_axis, n_samples, seed"):
+        read(results)
+
+
+def test_certificates_by_label_tell_designs_apart(results, chain):
+    study = make_study(samples={"points_per_axis": [3], "designs": ["grid", "chebyshev"]})
+    cells = [Cell(results, "network", label) for label in ("grid3", "chebyshev3")]
+    record_samples(study, chain, "chebyshev", 3).save(cells[1].samples_path)
+    write_cell(cells[1], 5.0)
+    certify(results)
+    with pytest.raises(IksamplesError, match="no column label"):
+        outcomes(study, cells, certificates(results))
+    certify(results, set="grid3")
+    table = pd.read_csv(results / "certificates.csv").rename(columns={"set": "label"})
+    rows = outcomes(study, cells, table)
+    assert rows["design"].unique().tolist() == ["grid", "chebyshev"]
+    assert rows.groupby("design")["certified"].all().to_dict() == {"grid": True, "chebyshev": False}
+
+
+def test_a_diverged_seed_has_an_infinite_error(results):
+    write_cell(Cell(results, "network", "grid3"), 5.0, diverged=[4])
+    certify(results)
+    rows = read(results).query("n_samples == 27 and method == 'network'")
+    assert np.isinf(rows["error_mm"]).tolist() == [False] * 4 + [True, False]
+    assert not rows["certified"].iloc[4]
+
+
+def test_an_unfinished_study_is_named(results):
+    (results / "network" / "grid2" / "errors.parquet").unlink()
+    with pytest.raises(IksamplesError, match=r"grid2/errors\.parquet is missing"):
+        read(results)
+
+
+def test_the_whole_way_from_files_to_the_answer(results):
+    certify(results)
+    study = make_study(tolerance={"error_mm": 4.0})
+    one = answer_study(study, results)
+    assert one.headline == (
+        "For every point of the workspace within 4 mm, with 95 % confidence that at least 80 % of "
+        "trainings succeed: 27 samples and a cubic spline through the same samples (measured at "
+        "8\u202f192 points, not certified: 1.00 mm); the paper's training needs more than 27."
+    )
+    assert one.digest == study.digest()
+    kinds = [cause.kind for cause in one.method("network").causes]
+    assert kinds == ["fit", "samples-suffice"]
+    assert one.comparisons[0].ratio.value == pytest.approx(1 / (1.01 * 7.5))
+
+
+class TestCauses:
+    def test_errors_at_the_samples_are_those_of_the_forward_kinematics(self, results, chain):
+        cell = Cell(results, "network", "grid3")
+        expected = np.linalg.norm(chain.forward_mm(np.zeros(3)) - cell.samples.positions_mm, axis=1)
+        at = errors_at_samples(make_study(), cell)
+        np.testing.assert_allclose(at, [expected.max()] * SEEDS)
+        mean = errors_at_samples(make_study(tolerance={"of": "mean"}), cell)
+        np.testing.assert_allclose(mean, [expected.mean()] * SEEDS)
+
+    def test_they_are_not_compared_with_a_path_or_where_samples_were_held_out(self, results):
+        cell = Cell(results, "network", "grid3")
+        assert errors_at_samples(make_study(tolerance={"where": "heart"}), cell) is None
+        held_out = make_study(training={"seeds": SEEDS, "held_out": {"source": "grid"}})
+        assert errors_at_samples(held_out, cell) is None
+
+    def test_a_falling_loss_is_measured(self, rng):
+        def history(fall_per_epoch):
+            seeds, epochs = np.meshgrid(np.arange(8), np.arange(1, 101), indexing="ij")
+            loss = np.exp(-fall_per_epoch * epochs) * (1 + 0.01 * rng.normal(size=seeds.shape))
+            return pd.DataFrame(
+                {
+                    "seed": seeds.ravel(),
+                    "epoch": epochs.ravel(),
+                    "train_loss_rad2": loss.ravel(),
+                }
+            ).sample(frac=1, random_state=0)
+
+        fall = loss_fall(history(0.01), rng)
+        assert fall.value == pytest.approx(1 - np.exp(-0.1), abs=0.01)
+        assert fall.low < 1 - np.exp(-0.1) < fall.high
+        flat = loss_fall(history(0.0), rng)
+        assert flat.low < 0.01
+        assert flat.high > -0.01
+        assert not loss_fall(history(0.01).query("seed < 3"), rng).known
+
+    def test_training_and_capacity_are_told_apart_by_other_networks(self, results, rng):
+        study = make_study(
+            methods={
+                "longer": {"training": {"epochs": 5000}},
+                "wider": {"network": {"hidden": [64]}},
+                "both": {"network": {"hidden": [64]}, "training": {"epochs": 5000}},
+                "worse": {"network": {"hidden": [2]}},
+            }
+        )
+        luck = np.exp(rng.normal(size=12))
+        of_lines = {
+            Line(name, "grid"): pd.DataFrame(
+                {"n_samples": 27, "seed": np.arange(12), "error_mm": factor * luck}
+            )
+            for name, factor in {
+                "network": 5.0, "longer": 3.0, "wider": 2.0, "both": 1.0, "worse": 9.0
+            }.items()
+        }  # fmt: skip
+        cell = Cell(results, "network", "grid3")
+        found = causes(study, Line("network", "grid"), of_lines, cell, {}, rng)
+        assert [(cause.kind, cause.text[:30]) for cause in found] == [
+            ("fit", "At its own 27 samples 6 of 6 t"),
+            ("training", "The same network (longer (16 R"),
+            ("capacity", "Another network, trained alike"),
+        ]
+        assert "60 % of its error" in found[1].text
+        assert "40 % of its error" in found[2].text
