@@ -50,7 +50,7 @@ def test_data_beside_a_package_counts(package):
 
 def test_evaluation_does_not_depend_on_the_report():
     found = set()
-    sources._collect_with_parents("iksamples.evaluation.errors", found)
+    sources._collect_with_parents("iksamples.evaluation.step", found)
     names = {path.parent.name for path in found}
-    assert {"robot", "samples", "evaluation", "training"} <= names
+    assert {"robot", "samples", "methods", "evaluation", "training"} <= names
     assert not names & {"report", "tracking", "recording", "bounds", "sizing"}
