@@ -249,8 +249,11 @@ def test_doing_it_again_changes_nothing(small: Study, results: list[Cell], uri: 
     log(small, results)
     before = runs_by_key(uri)
     connect(uri).set_tag(before["network/grid2"].info.run_id, "mlflow.note.content", "my own words")
+    where = before[STUDY_KEY].info.experiment_id
+    connect(uri).set_experiment_tag(where, "mlflow.note.content", "my experiment")
     outcome, _ = log(small, results)
     after = runs_by_key(uri)
+    assert connect(uri).get_experiment(where).tags["mlflow.note.content"] == "my experiment"
     assert (outcome.logged, outcome.kept, outcome.removed) == (0, RUNS, 0)
     assert {key: run.info.run_id for key, run in after.items()} == {
         key: run.info.run_id for key, run in before.items()

@@ -2,6 +2,7 @@
 The study, validated before any job, and what the rules share.
 """
 
+import json
 import sys
 from pathlib import Path
 
@@ -71,8 +72,10 @@ def where_to_look():
         },
     }
     lines = [f"  {what} {path}" for path, what in made.items() if Path(path).exists()]
-    if Path(f"results/{STUDY.name}/tracking.json").exists():
-        lines.append("  Runs        mlflow ui")
+    tracked = Path(f"results/{STUDY.name}/tracking.json")
+    if tracked.exists():
+        page = json.loads(tracked.read_text())["page"]
+        lines.append(f"  Runs        mlflow ui    and then http://127.0.0.1:5000/{page}")
     return "\n".join(["", f"{STUDY.name}: done.", *lines, ""])
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
 from iksamples.errors import IksamplesError
+from iksamples.recording.colours import BLACK, GREY, RED, Colour, blues
 from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
 from iksamples.recording.shown import ShownGrid, read_grid
 from iksamples.results import Cell
@@ -24,9 +25,6 @@ from iksamples.study import Study
 
 # Smooth enough for the eye, few enough for a small file.
 MAX_WAYPOINTS = 600
-
-RED, BLACK, GREY = (214, 39, 40), (0, 0, 0), (150, 150, 150)
-_LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 
 
 def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str | Path) -> None:
@@ -55,12 +53,6 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
         )
     left_out = [grid for grid in read if not grid.finite]
     _write(study, path_name, chain, shown, left_out, Path(output))
-
-
-def blues(n: int) -> list[tuple[int, int, int]]:
-    """Colours of n grids, from few samples (light) to many (dark)."""
-    shades = _LIGHT_BLUE + np.linspace(0, 1, n)[:, None] * (_DARK_BLUE - _LIGHT_BLUE)
-    return [(int(red), int(green), int(blue)) for red, green, blue in shades]
 
 
 def path_breaks(target_mm: Floats) -> list[int]:
@@ -167,7 +159,7 @@ def _log_scene(recording: rr.RecordingStream, study: Study, target_mm: Floats) -
 def _log_grid(
     recording: rr.RecordingStream,
     grid: ShownGrid,
-    colour: tuple[int, int, int],
+    colour: Colour,
     waypoints: NDArray[np.int64],
 ) -> None:
     """One grid's samples, its path over both timelines and its errors."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from iksamples.evaluation.errors import CUBE
+from iksamples.recording.colours import RED, Colour, blues
 from iksamples.results import Cell
 from iksamples.samples.dataset import AXES
 from iksamples.study import Study
@@ -32,8 +33,6 @@ _AXES_OF_INTEREST = (
 )
 _STATISTICS = ("error_mean_mm", "error_p95_mm", "error_max_mm")
 _LOSSES = ("train_loss_rad2", "validation_loss_rad2")
-_RED = "#d62728"
-_LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 _TABLES = ("history", "members", "errors", "bounds")
 
 
@@ -107,10 +106,9 @@ def study_runs(study: Study, cells: Iterable[Cell], table_path: Path) -> Iterato
     table = pd.read_csv(table_path)
     rows = {row["samples_per_axis"]: row for _, row in table.iterrows()}
     cells = list(cells)
-    colours = [_shade(share) for share in np.linspace(0, 1, len(cells))]
     grids = [
-        _grid_run(study, cell, rows[cell.samples.points_per_axis], colour)
-        for cell, colour in zip(cells, colours, strict=True)
+        _grid_run(study, cell, rows[cell.samples.points_per_axis], _hex(colour))
+        for cell, colour in zip(cells, blues(len(cells)), strict=True)
     ]
     yield _study_run(study, grids, table_path)
     for cell, grid in zip(cells, grids, strict=True):
@@ -159,7 +157,7 @@ def _study_run(study: Study, grids: list[RunContent], table_path: Path) -> RunCo
         {**study_params(study), "n_seeds": str(study.training.seeds)},
         metrics,
         artifacts=[table_path, *([settings] if settings.exists() else [])],
-        colour=_RED,
+        colour=_hex(RED),
     )
 
 
@@ -251,10 +249,8 @@ def _seed_runs(study: Study, cell: Cell, grid: RunContent) -> Iterator[RunConten
         )
 
 
-def _shade(share: float) -> str:
-    """A blue between light (few samples) and dark (many), as in the recordings."""
-    rgb = _LIGHT_BLUE + share * (_DARK_BLUE - _LIGHT_BLUE)
-    return "#" + "".join(f"{int(part):02x}" for part in rgb)
+def _hex(colour: Colour) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _about_errors(study: Study) -> str:

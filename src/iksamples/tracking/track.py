@@ -56,9 +56,12 @@ def track(
     client = connect(uri)
     with failing_plainly(uri):
         where = experiment(client, study.name)
-        client.set_experiment_tag(where.experiment_id, "mlflow.experimentKind", MODEL_TRAINING)
-        note = _note(study, where.experiment_id)
-        client.set_experiment_tag(where.experiment_id, "mlflow.note.content", note)
+        about = {
+            "mlflow.experimentKind": MODEL_TRAINING,
+            "mlflow.note.content": _note(study, where.experiment_id),
+        }
+        for name in about.keys() - where.tags.keys():  # what people wrote there stays
+            client.set_experiment_tag(where.experiment_id, name, about[name])
         outcome = upsert(client, where, contents, source_tags(study))
     manifest = {
         "tracking_uri": without_password(uri),
