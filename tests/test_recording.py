@@ -1,6 +1,5 @@
 """Recordings, read back from the file."""
 
-import json
 import statistics
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
-from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
 from iksamples.errors import IksamplesError
@@ -25,7 +23,7 @@ from iksamples.results import Cell, cells
 from iksamples.robot.chain import SerialChain
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
-from iksamples.training.network import StackedMLP
+from iksamples.training.network import StackedMLP, write_tensors
 
 
 SEEDS = (3, 4, 5, 6)
@@ -79,15 +77,15 @@ def results(
             SEEDS,
         )
         network.save(cell.folder / "weights.safetensors")
-        save_file(
+        write_tensors(
+            cell.folder / "snapshots.safetensors",
             {
                 **tensors,
                 "epochs": EPOCHS,
                 "offset_mm": samples.offset_mm,
                 "scale_mm": samples.scale_mm,
             },
-            cell.folder / "snapshots.safetensors",
-            {"activation": json.dumps("relu"), "seeds": json.dumps(SEEDS)},
+            {"activation": "relu", "seeds": list(SEEDS)},
         )
         track_paths(small, chain, network).to_parquet(cell.folder / "waypoints.parquet")
     return made
@@ -243,7 +241,7 @@ def test_long_paths_and_trainings_are_thinned(
         "offset_mm": np.zeros(1),
         "scale_mm": np.ones(1),
     }
-    save_file(snapshots, tmp_path / "s", {"activation": '"relu"', "seeds": "[9]"})
+    write_tensors(tmp_path / "s", snapshots, {"activation": "relu", "seeds": [9]})
     epochs, networks = networks_over_epochs(tmp_path / "s", 9)
     assert len(epochs) == MAX_EPOCHS
     assert (epochs[0], epochs[-1]) == (1, 200)

@@ -7,6 +7,7 @@ import pytest
 from iksamples.errors import IksamplesError
 from iksamples.results import Cell
 from iksamples.samples.record import record_samples
+from iksamples.sizing.calibration import calibrate_study
 from iksamples.sizing.causes import causes, loss_fall
 from iksamples.sizing.outcomes import (
     COLUMNS,
@@ -227,7 +228,32 @@ def test_the_whole_way_from_files_to_the_answer(results):
     assert one.digest == study.digest()
     kinds = [cause.kind for cause in one.method("network").causes]
     assert kinds == ["fit", "samples-suffice"]
-    assert one.comparisons[0].ratio.value == pytest.approx(1 / (1.01 * 7.5))
+    assert one.comparisons[0].ratio.value == pytest.approx(
+        np.median(1 / (1.01 * (5 + np.arange(SEEDS))))
+    )
+
+
+class TestFreshSeeds:
+    def test_the_same_study_with_fresh_seeds_checks_the_answer(self, results):
+        study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.6})
+        one = answer_study(study, results)
+        assert one.method("network").n_samples == 27
+        first = {"seeds": SEEDS, "first_seed": SEEDS}
+        found = calibrate_study(one, study, make_study(training=first), results)
+        # Errors of 5 to 10 mm, and of 10 to 15 mm one rung below.
+        assert (found.at.n_met, found.below.n_met) == (SEEDS, 3)
+        assert found.kept
+        assert found.sharp
+
+    def test_seeds_that_gave_the_answer_cannot_check_it(self, results):
+        study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.6})
+        one = answer_study(study, results)
+        again = make_study(training={"seeds": SEEDS, "first_seed": SEEDS - 1})
+        with pytest.raises(IksamplesError, match=r"seed 5 gave the answer.*first_seed to 6"):
+            calibrate_study(one, study, again, results)
+        nothing = answer_study(make_study(), results)
+        with pytest.raises(IksamplesError, match="nothing to check"):
+            calibrate_study(nothing, study, again, results)
 
 
 class TestCauses:

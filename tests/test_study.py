@@ -79,7 +79,8 @@ def test_bad_files(tmp_path, content, message):
 
 def test_the_papers_study_file_says_what_the_defaults_say():
     written = read_study("config/config.yaml")
-    assert written == Study(name="paper", title=written.title)
+    said = {"methods", "title"}
+    assert written.model_dump(exclude=said) == Study(name="paper").model_dump(exclude=said)
 
 
 def test_digest_follows_every_setting_and_nothing_else():

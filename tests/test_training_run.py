@@ -108,7 +108,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, chain, sourc
             assert kept.shape == (len(snapshots["epochs"]), *weight.shape)
             np.testing.assert_array_equal(kept[-1], weight)
         with safe_open(folder / "snapshots.safetensors", "numpy") as file:
-            assert json.loads(file.metadata()["seeds"]) == [4, 5, 6]
+            assert json.loads(file.metadata()["iksamples"])["seeds"] == [4, 5, 6]
 
 
 def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, chain, trained):

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,15 @@ from iksamples.errors import IksamplesError
 if TYPE_CHECKING:
     from iksamples.robot.chain import SerialChain
     from iksamples.samples.dataset import SampleSet
-    from iksamples.study import Study
+    from iksamples.study import Design, Study
+
+
+class Strategy(StrEnum):
+    """How the next poses are chosen."""
+
+    DISAGREEMENT = "disagreement"
+    WORST = "worst"
+
 
 app = typer.Typer(
     help="How many samples does a learned inverse kinematics need?\n\n"
@@ -63,6 +72,9 @@ def check(study_file: StudyFile) -> None:
     )
     sets = sample_sets(study)
     for label, (design, m) in sets.items():
+        if design == "adaptive":
+            typer.echo(f"  {label}: {m**3} samples, chosen in training")
+            continue
         recorded = record_samples(study, chain, design, m)
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
         typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
@@ -80,7 +92,6 @@ def samples(
 ) -> None:
     """Record one set of samples: positions and the joint angles that reach them."""
     from iksamples.results import sample_sets
-    from iksamples.samples.record import record_samples
 
     study, chain = _open(study_file)
     _require_feasible(study, chain)
@@ -88,7 +99,7 @@ def samples(
     if name not in sets:
         raise IksamplesError(f"{study_file}: no samples '{name}'; there are {', '.join(sets)}.")
     with _whole(output) as file:
-        record_samples(study, chain, *sets[name]).save(file)
+        _record(study, chain, *sets[name]).save(file)
 
 
 @app.command()
@@ -149,15 +160,100 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
 
 
 @app.command()
-def table(study_file: StudyFile, results: Results, output: Output) -> None:
-    """Aggregate over seeds: one row per grid, beside the paper's Table 1."""
-    from iksamples.results import cells
+def prove(
+    study_file: StudyFile,
+    samples_files: SamplesFiles,
+    method: MethodName,
+    folder: MethodFolder,
+    output: Output,
+) -> None:
+    """Prove the worst and the mean error of a method over the workspace, network by network."""
+    import pandas as pd
+
+    from iksamples.bounds.certify_step import certify
+
+    study, chain = _open(study_file)
+    rows = [
+        certify(study, chain, method, samples, folder / samples.label)
+        for samples in _load(samples_files)
+    ]
+    with _whole(output) as file:
+        pd.concat(rows).to_csv(file, index=False)
+
+
+@app.command()
+def table(study_file: StudyFile, results: Results) -> None:
+    """Aggregate over seeds: table.csv beside the paper's Table 1, and all certificates in one."""
+    import pandas as pd
+
+    from iksamples.results import cells, certified
     from iksamples.sizing.table import study_table
     from iksamples.study import read_study
 
     study = read_study(study_file)
+    proofs = pd.concat(
+        [pd.read_csv(results / method / "certificates.csv") for method in certified(study)]
+    )
+    tables = {
+        "certificates.csv": proofs,
+        "table.csv": study_table(study, cells(study, results), proofs),
+    }
+    for name, rows in tables.items():
+        with _whole(results / name) as file:
+            rows.to_csv(file, index=False)
+
+
+@app.command()
+def answer(study_file: StudyFile, results: Results) -> None:
+    """Answer how many samples each method needs: answer.json and samples-needed.csv."""
+    from iksamples.sizing.finding import samples_needed
+    from iksamples.sizing.outcomes import all_cells, certificates, outcomes
+    from iksamples.sizing.size import answer_study
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    found = answer_study(study, results)
+    rows = outcomes(study, all_cells(study, results), certificates(results))
+    with _whole(results / "samples-needed.csv") as file:
+        samples_needed(study, rows).to_csv(file, index=False)
+    with _whole(results / "answer.json") as file:
+        file.write_text(found.to_json(), encoding="utf-8")
+
+
+@app.command()
+def recommend(results: Results) -> None:
+    """Print the answer of a finished study: how many samples, by which method, how sure."""
+    from iksamples.sizing.answer import recommend as advise
+
+    typer.echo(advise(results))
+
+
+@app.command("next")
+def next_(
+    study_file: StudyFile,
+    samples_file: Annotated[
+        Path, typer.Option("--samples", help="Samples had so far (CSV or Parquet).")
+    ],
+    output: Output,
+    count: Annotated[int, typer.Option("--count", "-k", min=1, help="How many poses.")] = 10,
+    strategy: Annotated[
+        Strategy,
+        typer.Option(help="Where trained seeds disagree most, or where they are worst."),
+    ] = Strategy.DISAGREEMENT,
+    weights: Annotated[
+        Path | None, typer.Option(help="Networks trained on these samples; by default, train now.")
+    ] = None,
+) -> None:
+    """Propose the next poses to record on the arm, inside its limits, as CSV."""
+    from iksamples.samples.measured import read_samples
+    from iksamples.sizing.next_poses import next_poses
+
+    study, chain = _open(study_file)
+    samples = read_samples(study, chain, samples_file)
+    poses = next_poses(study, chain, samples, count, strategy.value, weights, progress=True)
     with _whole(output) as file:
-        study_table(study, cells(study, results)).to_csv(file, index=False)
+        poses.round(4).to_csv(file, index=False)
+    typer.echo(f"{len(poses)} poses written to {output}")
 
 
 @app.command()
@@ -221,6 +317,17 @@ def handbook(
     for name, text in (("README.md", settings_page()), ("schema.json", schema())):
         with _whole(output / name) as file:
             file.write_text(text, encoding="utf-8")
+
+
+def _record(study: "Study", chain: "SerialChain", design: "Design", m: int) -> "SampleSet":
+    """Samples of a design; the adaptive one trains networks to choose them."""
+    if design == "adaptive":
+        from iksamples.sizing.adaptive import adaptive_sets
+
+        return adaptive_sets(study, chain, [m])[m]
+    from iksamples.samples.record import record_samples
+
+    return record_samples(study, chain, design, m)
 
 
 def _load(files: list[Path]) -> "list[SampleSet]":

@@ -30,6 +30,8 @@ TABLE: dict[str, Column] = {
     "estimate_mm": Column("mm", "the paper's Eq. 25 with this study's weights, mean over seeds"),
     "wbar": Column("-", "average weight in that estimate, mean over seeds"),
     "above_estimate": Column("-", "share of the workspace where the error exceeds the estimate"),
+    "sup_median_mm": Column("mm", "certified worst case over the workspace, median of the seeds"),
+    "sup_worst_mm": Column("mm", "certified worst case over the workspace, worst seed"),
     "paper_error_mm": Column("mm", "mean error in the paper's Table 1"),
     "paper_error_sd_mm": Column("mm", "its ± in the paper's Table 1"),
     "paper_estimate_mm": Column("mm", "estimate in the paper's Table 1"),
@@ -38,3 +40,23 @@ TABLE: dict[str, Column] = {
     **{f"cube_{name}": column for name, column in _OVER_SEEDS.items()},
 }
 """``table.csv``: errors on the study's first path; over the whole workspace with prefix cube_."""
+
+CERTIFICATES: dict[str, Column] = {
+    "method": Column("-", "name of the method"),
+    "label": Column("-", "name of the set of samples"),
+    "samples_per_axis": Column("-", "m of the design"),
+    "n_samples": Column("-", "samples recorded"),
+    "seed": Column("-", "seed of the network"),
+    "sup_lower_mm": Column("mm", "an error that is taken at the position argmax"),
+    "sup_upper_mm": Column("mm", "no position of the workspace has a larger error"),
+    "argmax_x_mm": Column("mm", "position of the largest known error, x"),
+    "argmax_y_mm": Column("mm", "position of the largest known error, y"),
+    "argmax_z_mm": Column("mm", "position of the largest known error, z"),
+    "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
+    "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
+    "boxes": Column("-", "boxes bounded in the search"),
+    "seconds": Column("s", "time of the search"),
+    "complete": Column("-", "whether the worst case's bounds met as closely as asked"),
+    "verified": Column("-", "whether the separate, outward-rounded checker proved it again"),
+}
+"""``certificates.csv``: one row per network."""

@@ -6,7 +6,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from iksamples.columns import TABLE
+from iksamples.columns import CERTIFICATES, TABLE
 from iksamples.study import Section, Study
 
 
@@ -35,16 +35,19 @@ This page and `schema.json` (for editors that complete YAML) are generated: `iks
 
 
 def settings_page() -> str:
-    """``config/README.md``: every setting, and every column of the table."""
+    """``config/README.md``: every setting, and every column of the tables."""
     lines = [HEAD, "## Settings", ""]
     lines += ["| key | default | allowed | meaning |", "|---|---|---|---|"]
     for key, field in _walk(Study):
         lines.append(
             f"| `{key}` | {_default(field)} | {_allowed(field)} | {field.description or ''} |"
         )
-    lines += ["", "## Columns of `results/<study>/table.csv`", ""]
-    lines += ["| column | unit | meaning |", "|---|---|---|"]
-    lines += [f"| `{name}` | {column.unit} | {column.meaning} |" for name, column in TABLE.items()]
+    for file, columns in (("table.csv", TABLE), ("certificates.csv", CERTIFICATES)):
+        lines += ["", f"## Columns of `results/<study>/{file}`", ""]
+        lines += ["| column | unit | meaning |", "|---|---|---|"]
+        lines += [
+            f"| `{name}` | {column.unit} | {column.meaning} |" for name, column in columns.items()
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -76,6 +76,12 @@ def networks(study: Study) -> list[str]:
     return [name for name, method in study.all_methods.items() if method.kind == "network"]
 
 
+def certified(study: Study) -> list[str]:
+    """Names of the study's methods whose worst case can be proved."""
+    kinds = ("network", "multilinear")
+    return [name for name, method in study.all_methods.items() if method.kind in kinds]
+
+
 def cells(
     study: Study, results: str | Path, method: str = NETWORK, design: Design | None = None
 ) -> Iterator[Cell]:

@@ -70,7 +70,7 @@ class Workspace(Section):
         return self
 
 
-Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints"]
+Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive"]
 
 
 class Samples(Section):
@@ -80,8 +80,8 @@ class Samples(Section):
         ["grid"],
         min_length=1,
         description="How the points are placed: an even grid, Chebyshev nodes, Sobol points, a "
-        "Latin hypercube, uniformly in the workspace, or uniformly in joint space. The first "
-        "design fills the table and the report.",
+        "Latin hypercube, uniformly in the workspace, uniformly in joint space, or step by step "
+        "where networks trained so far disagree. The first design fills the table and the report.",
     )
     points_per_axis: list[Annotated[int, Field(ge=2, le=32)]] = Field(
         [2, 3, 4, 5, 6, 7, 8],
@@ -294,7 +294,7 @@ class Evaluation(Section):
 
 
 class Bounds(Section):
-    """How the paper's estimate (Eq. 25) is formed."""
+    """How the paper's estimate (Eq. 25) is formed, and how tight the certificates are."""
 
     average_weight: Literal["mean", "mean_abs", "rms", "max_abs"] = Field(
         "mean", description="Which average of the trained weights stands for w-bar in Eq. 22."
@@ -304,6 +304,19 @@ class Bounds(Section):
         gt=0,
         description="Length that turns the estimate into millimetres [mm]; null: the longest side "
         "of the workspace, which is what the paper's column implies.",
+    )
+    sup_rtol: float = Field(
+        1e-3,
+        ge=1e-6,
+        le=1,
+        description="Certified worst case: largest gap between its bounds, as a share.",
+    )
+    mean_rtol: float = Field(
+        0.1,
+        ge=5e-3,
+        le=1,
+        description="Certified mean: its bounds lie within this share of their middle; 0.025 costs "
+        "some six times as much.",
     )
 
 

@@ -1,11 +1,12 @@
 """
-Bounds: what the paper's equations say of each trained network, and whether it holds.
+Bounds: what the paper's equations say of each trained network, and what can be proved.
 
 REQUIRED INPUTS
     results/<study>/samples/<samples>.parquet
-    results/<study>/network/<samples>/weights.safetensors, cube.parquet
+    results/<study>/<method>/<samples>/weights.safetensors, cube.parquet
 OUTPUTS
     results/<study>/network/<samples>/bounds.parquet
+    results/<study>/<method>/certificates.csv
 """
 
 
@@ -31,3 +32,27 @@ rule bounds:
         folder="results/{study}/network",
     shell:
         "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> {log:q}"
+
+
+rule prove:
+    """The worst and the mean error of a method over the workspace, proved for every network."""
+    input:
+        weights,
+        urdf=STUDY.robot.urdf,
+        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+    output:
+        "results/{study}/{method}/certificates.csv",
+    log:
+        "results/{study}/logs/prove/{method}.log",
+    benchmark:
+        "results/{study}/benchmarks/prove/{method}.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings("robot", "workspace"),
+        tightness=STUDY.bounds.model_dump_json(include={"sup_rtol", "mean_rtol"}),
+        kind=lookup("{method}", within=KINDS),
+        code=source_digest("iksamples.bounds.certify_step"),
+        folder="results/{study}/{method}",
+    shell:
+        "iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}"
+        " --folder {params.folder:q} --output {output:q} 2> {log:q}"

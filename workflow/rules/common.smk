@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from iksamples.errors import IksamplesError
-from iksamples.results import networks, sample_sets
+from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study
 
@@ -75,7 +75,9 @@ def where_to_look():
     tracked = Path(f"results/{STUDY.name}/tracking.json")
     if tracked.exists():
         page = json.loads(tracked.read_text())["page"]
-        lines.append(f"  Runs        mlflow ui    and then http://127.0.0.1:5000/{page}")
+        lines.append(
+            f"  Runs        mlflow ui    and then http://127.0.0.1:5000/{page}"
+        )
     return "\n".join(["", f"{STUDY.name}: done.", *lines, ""])
 
 

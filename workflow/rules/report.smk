@@ -13,6 +13,7 @@ rule report:
     input:
         urdf=STUDY.robot.urdf,
         table="results/{study}/table.csv",
+        answer="results/{study}/answer.json",
     output:
         html=report("reports/{study}/index.html", category="Report"),
         markdown="reports/{study}/README.md",

@@ -8,6 +8,13 @@ OUTPUTS
 """
 
 
+def adaptive_settings(wildcards):
+    """What an adaptive set depends on besides: the networks that choose its points."""
+    if not wildcards.samples.startswith("adaptive"):
+        return None
+    return settings("network", "training") + source_digest("iksamples.sizing.adaptive")
+
+
 rule samples:
     """Record one set of samples."""
     input:
@@ -23,6 +30,7 @@ rule samples:
         settings=settings("robot", "workspace"),
         placing=STUDY.samples.model_dump_json(exclude={"designs", "points_per_axis"}),
         held_out=STUDY.training.held_out.model_dump_json(),
+        chosen=adaptive_settings,
         code=source_digest("iksamples.samples.record"),
     shell:
         "iksamples samples {params.study:q} --name {wildcards.samples}"

@@ -1,10 +1,13 @@
 """
-Sizing: the table with one row per grid, beside the paper's Table 1.
+Sizing: one row per grid beside the paper's Table 1, and how many samples each method needs.
 
 REQUIRED INPUTS
-    results/<study>/network/grid<m>/{members,errors,bounds}.parquet
+    results/<study>/<method>/<samples>/errors.parquet
+    results/<study>/network/<samples>/{members,bounds}.parquet
+    results/<study>/<method>/certificates.csv
 OUTPUTS
-    results/<study>/table.csv
+    results/<study>/table.csv, certificates.csv
+    results/<study>/answer.json, samples-needed.csv
 """
 
 
@@ -16,8 +19,12 @@ rule table:
             samples=LABELS,
             table=["members", "errors", "bounds"],
         ),
+        certificates=expand(
+            "results/{{study}}/{method}/certificates.csv", method=certified(STUDY)
+        ),
     output:
         "results/{study}/table.csv",
+        "results/{study}/certificates.csv",
     log:
         "results/{study}/logs/table.log",
     benchmark:
@@ -28,4 +35,29 @@ rule table:
         code=source_digest("iksamples.sizing.table"),
         results="results/{study}",
     shell:
-        "iksamples table {params.study:q} --results {params.results:q} --output {output:q} 2> {log:q}"
+        "iksamples table {params.study:q} --results {params.results:q} 2> {log:q}"
+
+
+rule answer:
+    """How many samples, by which method, and how sure."""
+    input:
+        errors=expand(
+            "results/{{study}}/{method}/{samples}/errors.parquet",
+            method=STUDY.all_methods,
+            samples=LABELS,
+        ),
+        certificates="results/{study}/certificates.csv",
+    output:
+        "results/{study}/answer.json",
+        "results/{study}/samples-needed.csv",
+    log:
+        "results/{study}/logs/answer.log",
+    benchmark:
+        "results/{study}/benchmarks/answer.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings("tolerance", "evaluation", "methods", "training", "network"),
+        code=source_digest("iksamples.sizing.size"),
+        results="results/{study}",
+    shell:
+        "iksamples answer {params.study:q} --results {params.results:q} 2> {log:q}"

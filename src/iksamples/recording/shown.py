@@ -1,6 +1,5 @@
 """What a recording shows of one grid: the network of one seed, on one path."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from iksamples.evaluation.errors import Tracking, send
 from iksamples.results import Cell
 from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import AXES
-from iksamples.training.network import StackedMLP
+from iksamples.training.network import StackedMLP, read_tensors
 
 
 if TYPE_CHECKING:
@@ -120,20 +119,21 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         The epochs, at most 60 of them with the first and the last, shape (epochs,), and a stack
         with one network per epoch.
     """
-    from safetensors import safe_open
-
-    with safe_open(str(path), framework="numpy") as file:
-        header = {key: json.loads(value) for key, value in file.metadata().items()}
-        row = header["seeds"].index(seed)
-        layers = range(sum(key.endswith(".weight") for key in file.keys()))  # noqa: SIM118
-        epochs = file.get_tensor("epochs").astype(np.int64)
-        kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
-        weights, biases = (
-            tuple(file.get_slice(f"layers.{i}.{part}")[:, row][kept] for i in layers)
-            for part in ("weight", "bias")
-        )
-        offset_mm, scale_mm = file.get_tensor("offset_mm"), file.get_tensor("scale_mm")
+    tensors, header = read_tensors(path)
+    row = header["seeds"].index(seed)
+    epochs = tensors["epochs"].astype(np.int64)
+    kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
+    layers = range(sum(key.endswith(".weight") for key in tensors))
+    weights, biases = (
+        tuple(tensors[f"layers.{i}.{part}"][:, row][kept] for i in layers)
+        for part in ("weight", "bias")
+    )
     stack = StackedMLP(
-        weights, biases, header["activation"], offset_mm, scale_mm, (seed,) * len(kept)
+        weights,
+        biases,
+        header["activation"],
+        tensors["offset_mm"],
+        tensors["scale_mm"],
+        (seed,) * len(kept),
     )
     return epochs[kept], stack

@@ -13,6 +13,9 @@ from iksamples.samples.dataset import AXES, SampleSet
 from iksamples.study import Design, Study
 
 
+ADAPTIVE: Design = "adaptive"
+"""The design that only training can place (``sizing.adaptive``)."""
+
 # Streams of the study's generator: fresh points of different use are independent of each other.
 _FRESH_STREAM = {"validation": 1, "test": 2}
 _DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
@@ -33,8 +36,8 @@ def record_samples(
         points_per_axis: m; there are m^3 points.
 
     Raises:
-        IksamplesError: The arm cannot use a point of the design and the study does not mask it, or
-            too few points are left.
+        IksamplesError: The arm cannot use a point of the design and the study does not mask it,
+            too few points are left, or the design is the adaptive one.
     """
     points = _place(study, chain, design, points_per_axis)
     return samples_at(study, chain, design, points_per_axis, points)
@@ -72,24 +75,66 @@ def samples_at(
             f"{label} of the workspace: only {n} of {len(points)} points can be used, too few "
             "to span it. Move the workspace or drop this size."
         )
-    offset_mm, scale_mm = _normalisation(study.samples.normalisation, points[kept])
-    even = design == "grid"
+    whole_grid = design == "grid" and n == n_wanted
+    sides = box.lower_mm, box.upper_mm, points_per_axis
+    return sample_set(
+        study,
+        chain,
+        label,
+        design,
+        points_per_axis,
+        points[kept],
+        answer.joints[kept],
+        spacing_mm=designs.grid_spacing_mm(*sides) if design == "grid" else np.nan,
+        fill_distance_mm=designs.grid_fill_distance_mm(*sides) if whole_grid else None,
+        n_masked=n_wanted - n,
+    )
+
+
+def sample_set(
+    study: Study,
+    chain: SerialChain,
+    label: str,
+    design: str,
+    points_per_axis: int,
+    positions_mm: Floats,
+    joints: Floats,
+    *,
+    spacing_mm: float = np.nan,
+    fill_distance_mm: float | None = None,
+    n_masked: int = 0,
+) -> SampleSet:
+    """Samples that are recorded already, with fresh points beside them.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        label: Name of the set.
+        design: What placed the positions.
+        points_per_axis: m of the design.
+        positions_mm: Positions [mm], shape (n, 3), that differ along every axis.
+        joints: Joint values there [rad], shape (n, joints).
+        spacing_mm: Distance between neighbours of an even grid [mm].
+        fill_distance_mm: Fill distance [mm]; None: measured.
+        n_masked: Points left out.
+    """
+    n = len(positions_mm)
+    if fill_distance_mm is None:
+        region = region_points(study, chain, _REGION_POINTS)
+        fill_distance_mm = designs.fill_distance_mm(positions_mm, region)
     return SampleSet(
         label,
         design,
         points_per_axis,
         chain.joint_names,
-        points[kept],
-        answer.joints[kept],
+        positions_mm,
+        joints,
         *_fresh(study, chain, n, "validation"),
         *_fresh(study, chain, n, "test"),
-        offset_mm,
-        scale_mm,
-        designs.grid_spacing_mm(box.lower_mm, box.upper_mm, points_per_axis) if even else np.nan,
-        designs.grid_fill_distance_mm(box.lower_mm, box.upper_mm, points_per_axis)
-        if even and n == n_wanted
-        else designs.fill_distance_mm(points[kept], region_points(study, chain, _REGION_POINTS)),
-        n_wanted - n,
+        *_normalisation(study.samples.normalisation, positions_mm),
+        spacing_mm,
+        fill_distance_mm,
+        n_masked,
     )
 
 
@@ -106,6 +151,12 @@ def sample_label(design: Design, points_per_axis: int) -> str:
 
 def _place(study: Study, chain: SerialChain, design: Design, points_per_axis: int) -> Floats:
     """Positions of a design [mm]; those of a random design that the arm cannot use are redrawn."""
+    if design == ADAPTIVE:
+        raise IksamplesError(
+            f"{sample_label(design, points_per_axis)}: adaptive samples follow from networks that "
+            "are trained on the way, so they cannot be placed in one step. Make them with "
+            "iksamples.sizing.adaptive."
+        )
     box = study.workspace.lower_mm, study.workspace.upper_mm
     n = points_per_axis ** len(AXES)
     generator = np.random.default_rng([study.samples.seed, _DESIGN_STREAM[design], n])

@@ -18,7 +18,6 @@ VERSION = 1
 
 FILE = "answer.json"
 
-CurveOf = Literal["interquartile mean", "share quantile"]
 Status = Literal["answered", "extrapolated", "unreachable", "more-seeds", "open"]
 
 
@@ -49,6 +48,9 @@ class Rung(Part):
         "certificate stopped with the tolerance between its bounds."
     )
     n_certified: int = Field(description="Trainings whose error is certified.")
+    n_verified: int = Field(
+        description="Those of them whose proof the independent checker has been through."
+    )
     success: float = Field(description="How often the best of `best_of` trainings meets it.")
     success_lower: float | None = Field(
         description="One-sided Clopper-Pearson lower end of that; null: nothing is left to chance."
@@ -87,15 +89,13 @@ class HeldOut(Part):
 
 
 class LearningCurve(Part):
-    """A learning curve fitted to one number for each rung's seeds."""
+    """A learning curve fitted to one error for each number of samples."""
 
-    of: CurveOf = Field(
-        description="The number: interquartile mean over seeds, or the error that `success_share` "
-        "of the seeds do not exceed."
-    )
     law: Literal["power", "grid"] = Field(
         description="a + b n^(-c), or a + b / (m - 1)^2 for grids of m points per axis."
     )
+    n_samples: list[int] = Field(description="Numbers of samples fitted.")
+    observed_mm: list[float] = Field(description="The errors fitted [mm].")
     floor_mm: Range = Field(description="a [mm].")
     scale_mm: Range = Field(description="b [mm].")
     exponent: Range = Field(description="c; 2, in m - 1, for the grid law.")
@@ -106,13 +106,19 @@ class LearningCurve(Part):
 class Extrapolation(Part):
     """What the learning curves say beyond the ladder."""
 
-    law: Literal["power", "grid"] | None = Field(description="The curve used; null: none.")
-    n_fit: float | None = Field(description="Where the curve meets the tolerance; null: nowhere.")
+    curve: LearningCurve | None = Field(
+        description="The curve used, of the error that `success_share` of the trainings do not "
+        "exceed; null: none."
+    )
+    n_fit: float | None = Field(description="Where it meets the tolerance; null: nowhere.")
     n_upper: float | None = Field(
         description="Where it does with the confidence asked for; null: nowhere, or no interval."
     )
     reachable: float | None = Field(
         description="Share of the resampled curves that ever come down to the tolerance."
+    )
+    level_mm: Range | None = Field(
+        description="The curve's error at 1000 times the most samples tried [mm]."
     )
     reason: str = Field(description="Why it is not trusted; empty: it is.")
 
@@ -129,9 +135,10 @@ class Cause(Part):
 
 
 class MethodAnswer(Part):
-    """One method's answer."""
+    """The answer for one method on samples placed by one design."""
 
     method: str = Field(description="Name in the study.")
+    design: str = Field(description="How the samples are placed.")
     kind: str = Field(description="Kind of method.")
     description: str = Field(description="What it is, in words.")
     status: Status = Field(
@@ -156,17 +163,21 @@ class MethodAnswer(Part):
     seeds_needed: int | None = Field(
         description="Trainings that would settle it at the share seen; null: not the problem."
     )
-    curves: list[LearningCurve] = Field(description="Learning curves.")
+    curves: list[LearningCurve] = Field(
+        description="Learning curves of the interquartile mean over trainings, a curve per law."
+    )
     extrapolation: Extrapolation | None = Field(description="Beyond the ladder; null: no need.")
     causes: list[Cause] = Field(description="Why it fails, where the data show it.")
     sentences: list[str] = Field(description="The same in plain English.")
 
 
 class Comparison(Part):
-    """A method's error over another's on the same samples, paired by seed."""
+    """A method's error over another's at equal numbers of samples, paired by seed."""
 
     method: str = Field(description="The method.")
-    other: str = Field(description="What it is compared with.")
+    design: str = Field(description="Its samples.")
+    other: str = Field(description="The method it is compared with.")
+    other_design: str = Field(description="That one's samples.")
     n_samples: int = Field(description="Samples.")
     n_pairs: int = Field(description="Seeds both have.")
     ratio: Range = Field(description="Median of the error over the other's.")
@@ -183,22 +194,30 @@ class Answer(Part):
     n_points: int = Field(description="Points at which errors that are not certified are measured.")
     ladder: list[int] = Field(description="Numbers of samples tried.")
     headline: str = Field(description="The answer in one sentence.")
-    methods: list[MethodAnswer] = Field(description="Every method, in the study's order.")
+    methods: list[MethodAnswer] = Field(
+        description="Every method on every design, in the study's order."
+    )
     comparisons: list[Comparison] = Field(
-        description="Every method against the study's own network."
+        description="Every method against the study's own network on the same samples, and that "
+        "network on every design against it on the first."
     )
 
-    def method(self, name: str) -> MethodAnswer:
+    def method(self, name: str, design: str | None = None) -> MethodAnswer:
         """One method's answer.
 
+        Args:
+            name: The method.
+            design: How its samples are placed; None: the study's first design.
+
         Raises:
-            IksamplesError: There is no such method.
+            IksamplesError: There is none.
         """
         for one in self.methods:
-            if one.method == name:
+            if one.method == name and design in (None, one.design):
                 return one
-        names = ", ".join(one.method for one in self.methods)
-        raise IksamplesError(f"{self.study}: no method '{name}'; there are {names}.")
+        names = ", ".join(f"{one.method} on {one.design}" for one in self.methods)
+        asked = f"'{name}' on {design}" if design else f"'{name}'"
+        raise IksamplesError(f"{self.study}: no method {asked}; there are {names}.")
 
     def to_json(self) -> str:
         """The text of ``answer.json``."""
@@ -254,7 +273,10 @@ def recommend(results: str | Path) -> str:
     answer = read_answer(results)
     blocks = [answer.headline]
     for one in answer.methods:
-        lines = [f"{one.method}: {one.description}", *(f"  {text}" for text in one.sentences)]
+        lines = [
+            f"{one.method}, {one.design}: {one.description}",
+            *(f"  {text}" for text in one.sentences),
+        ]
         blocks.append("\n".join(lines))
     return "\n\n".join(blocks)
 

@@ -1,13 +1,16 @@
 """Whether an answer keeps its word: the same trainings again, with fresh seeds."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from iksamples.errors import IksamplesError
-from iksamples.sizing.outcomes import by_rung
+from iksamples.results import NETWORK, cells
+from iksamples.sizing.answer import Answer
+from iksamples.sizing.outcomes import by_rung, certificates, outcomes
 from iksamples.sizing.statistics import Interval, best_of_share, share_interval
 from iksamples.sizing.words import percent, several
-from iksamples.study import Tolerance
+from iksamples.study import Design, Study, Tolerance
 
 
 if TYPE_CHECKING:
@@ -52,7 +55,7 @@ class Calibration:
 
 
 def calibrate(
-    tolerance: Tolerance, fresh: "pd.DataFrame", method: str, n_samples: int, n_below: int | None
+    tolerance: Tolerance, fresh: "pd.DataFrame", n_samples: int, n_below: int | None
 ) -> Calibration:
     """Holds an answer against fresh trainings.
 
@@ -61,19 +64,18 @@ def calibrate(
 
     Args:
         tolerance: The wish the answer was given for.
-        fresh: Outcomes of seeds that the answer has not seen (200, say).
-        method: The method.
+        fresh: Outcomes of seeds that the answer has not seen (200, say), of one method and design.
         n_samples: The number of samples recommended.
         n_below: The next smaller one of the ladder; None: there is none.
 
     Raises:
         IksamplesError: There are no fresh trainings with these samples.
     """
-    rates = {n: _rate(tolerance, n, group) for n, group in by_rung(fresh, method)}
+    rates = {n: _rate(tolerance, n, group) for n, group in by_rung(fresh)}
     missing = [n for n in (n_samples, n_below) if n is not None and n not in rates]
     if missing:
         raise IksamplesError(
-            f"{method}: no fresh trainings with {missing[0]} samples; train the recommended number "
+            f"no fresh trainings with {missing[0]} samples; train the recommended number "
             "of samples and the one below again, with a first_seed of their own."
         )
     at = rates[n_samples]
@@ -82,6 +84,47 @@ def calibrate(
     kept = at.success.value >= wish
     sharp = None if below is None else below.success.value < wish
     return Calibration(at, below, kept, sharp, _statement(tolerance, at, below, kept, sharp))
+
+
+def calibrate_study(
+    answer: Answer,
+    study: Study,
+    fresh_study: Study,
+    fresh_results: str | Path,
+    method: str = NETWORK,
+    design: str | None = None,
+) -> Calibration:
+    """Holds a study's answer against the same study with fresh seeds.
+
+    Args:
+        answer: The study's answer.
+        study: The study.
+        fresh_study: The same with a ``first_seed`` of its own; the answer's number of samples and
+            the one below it are enough.
+        fresh_results: Its results folder.
+        method: Whose answer.
+        design: On which samples; None: the study's first design.
+
+    Raises:
+        IksamplesError: There is no answer to check, or the seeds are not fresh.
+    """
+    one = answer.method(method, design)
+    if one.status != "answered" or one.n_samples is None:
+        raise IksamplesError(
+            f"{answer.study}: {method} has no answer on its ladder, so there is nothing to check."
+        )
+    used, fresh = (s.for_method(method, one.n_samples).seeds for s in (study, fresh_study))
+    again = sorted(set(used) & set(fresh))
+    if again:
+        raise IksamplesError(
+            f"{fresh_study.name}: seed {again[0]} gave the answer, so it cannot check it. Set "
+            f"training.first_seed to {max(used) + 1} or more."
+        )
+    asked = fresh_study.model_copy(update={"tolerance": answer.tolerance})
+    on = cells(asked, fresh_results, method, cast("Design", one.design))
+    rows = outcomes(asked, on, certificates(fresh_results))
+    below = one.below.n_samples if one.below else None
+    return calibrate(answer.tolerance, rows, one.n_samples, below)
 
 
 def _rate(tolerance: Tolerance, n: int, group: "pd.DataFrame") -> HitRate:

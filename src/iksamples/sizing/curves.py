@@ -7,9 +7,9 @@ Two laws, both with a floor that no number of samples goes below:
   function on a grid costs the square of the spacing (de Boor, *A Practical Guide to Splines*,
   ch. III); what a network adds does not fall with it and is the floor.
 
-The fit minimises squared errors relative to the error itself (or to a given ±), with a and b not
-negative. For a fixed exponent it is linear with a closed form, so all resamples are fitted at once
-over a list of exponents; SciPy refines the fit itself.
+The fit minimises squared deviations relative to the error itself (or to a given ±), with a and b
+not negative. For a fixed exponent that has a closed form, so all resamples are fitted at once over
+a list of exponents; the fit itself is refined between them.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,9 @@ Summary = Callable[[Floats, int], Floats]
 """One number for the seeds of each rung: (errors, axis of the seeds) -> errors without it."""
 
 _PARAMETERS = {"power": 3, "grid": 2}
-_EXPONENTS = np.round(np.arange(-0.5, 4.0001, 0.02), 2)
+NEVER = 1000
+"""A curve that takes more than so many times the most samples tried never gets there."""
+_EXPONENTS = np.round(np.arange(-0.5, 4.0001, 0.05), 2)
 """Exponents tried. A rising curve (below 0) is allowed, so that an interval can span 0."""
 _PUBLISHED_RESAMPLES = 4000
 
@@ -64,9 +66,9 @@ class Needed:
     """Samples at which a curve comes down to a tolerance.
 
     Attributes:
-        n_samples: By the fit; infinite where the curve stays above.
+        n_samples: By the fit; infinite for never.
         upper: No more than these with the confidence asked for; NaN with too few seeds.
-        reachable: Share of the resamples in which the curve comes down to it; NaN likewise.
+        reachable: Share of the resamples in which the curve ever comes down to it; NaN likewise.
     """
 
     n_samples: float
@@ -121,20 +123,49 @@ class Curve:
         n, m = np.asarray(n_samples, float), np.asarray(points_per_axis, float)
         return _law(self.law, self.floor_mm.value, self.scale_mm.value, self.exponent.value, n, m)
 
+    @property
+    def level_mm(self) -> Interval:
+        """Where the curve ends, for all that matters: its error at ``NEVER`` times the most tried.
+
+        Unlike the floor this is determined even where floor and exponent can stand in for each
+        other. A curve that rises is taken to stay where it is.
+        """
+        n = np.array([[self.n_samples[-1]], [NEVER * self.n_samples[-1]]])
+        m = np.cbrt(n)
+        fit = _law(self.law, self.floor_mm.value, self.scale_mm.value, self.exponent.value, n, m)
+        a, b, c = self.resampled.T
+        return interval(float(fit.min()), _law(self.law, a, b, c, n, m).min(axis=0))
+
     def needed(self, tolerance_mm: float, confidence: float) -> Needed:
         """Samples at which the curve comes down to a tolerance.
+
+        More than ``NEVER`` times the most tried count as never.
 
         Args:
             tolerance_mm: The tolerance [mm].
             confidence: Of ``upper``.
         """
         fit = np.array([[self.floor_mm.value, self.scale_mm.value, self.exponent.value]])
-        n = float(_inverse(self.law, fit, tolerance_mm)[0])
+        n = float(self._inverse(fit, tolerance_mm)[0])
         if not self.floor_mm.known:
             return Needed(n, np.nan, np.nan)
-        resampled = _inverse(self.law, self.resampled, tolerance_mm)
+        resampled = self._inverse(self.resampled, tolerance_mm)
         upper = float(np.quantile(resampled, confidence, method="inverted_cdf"))
         return Needed(n, upper, float(np.isfinite(resampled).mean()))
+
+    def _inverse(self, parameters: Floats, tolerance_mm: float) -> Floats:
+        """Samples at which curves with these parameters reach a tolerance, or infinity."""
+        a, b, c = parameters.T
+        most = self.n_samples[-1]
+        falls = (a < tolerance_mm) & (c > 0)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            ratio = b / (tolerance_mm - a)
+            n = (1 + np.sqrt(ratio)) ** 3 if self.law == "grid" else ratio ** (1 / c)
+        n = np.where(falls & (n <= NEVER * most), n, np.inf)
+        # A curve that does not fall, but is low enough already.
+        return np.where(
+            ~falls & (_law(self.law, a, b, c, most, np.cbrt(most)) <= tolerance_mm), most, n
+        )
 
 
 def fit_seeds(
@@ -239,89 +270,85 @@ def _law(
     n: float | Floats,
     m: float | Floats,
 ) -> Floats:
-    if law == "grid":
-        return np.asarray(a + b / (m - 1.0) ** 2)
-    return np.asarray(a + b * n ** (-np.asarray(c)))
-
-
-def _inverse(law: Law, parameters: Floats, tolerance_mm: float) -> Floats:
-    """Samples at which curves reach a tolerance; infinite where they never come down to it."""
-    a, b, c = parameters.T
-    falls = (a < tolerance_mm) & (c > 0)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ratio = b / (tolerance_mm - a)
-        n = (1 + np.sqrt(ratio)) ** 3 if law == "grid" else ratio ** (1 / c)
-    return np.where(falls, n, np.inf)
+    return np.asarray(a + b * ((m - 1.0) ** -2.0 if law == "grid" else n ** -np.asarray(c)))
 
 
 def _profile(law: Law, n: Floats, m: Floats, errors: Floats, sd: Floats | None) -> Floats:
     """Least-squares a, b and c for many sets of errors, shape (sets, rungs) -> (sets, 3).
 
-    With the exponent fixed, a and b >= 0 come from two linear equations or from an edge. Rungs
-    whose error is not finite have no weight; a set with too few left gets an infinite floor.
+    Rungs whose error is not finite have no weight; a set with too few left gets an infinite floor.
     """
-    centre = float(np.exp(np.log(n).mean()))
-    if law == "grid":
-        exponents, x = np.array([2.0]), ((m - 1) ** -2.0)[None]
-    else:
-        exponents = _EXPONENTS
-        x = (n / centre) ** -exponents[:, None]
+    exponents = _EXPONENTS if law == "power" else np.array([2.0])
     sound = np.isfinite(errors) & (errors > 0)
     weight = np.where(sound, 1 / np.where(sound, errors if sd is None else sd, 1), 0) ** 2
-    y = np.where(sound, errors, 0)
-    s0, sy = weight.sum(axis=1)[:, None], (weight * y).sum(axis=1)[:, None]
-    sx, sxx, sxy = weight @ x.T, weight @ (x * x).T, (weight * y) @ x.T
-    determinant = s0 * sxx - sx * sx
-    regular = determinant > 1e-9 * s0 * sxx
-    safe = np.where(regular, determinant, 1)
-    a, b = (sxx * sy - sx * sxy) / safe, (s0 * sxy - sx * sy) / safe
-    inside = regular & (a >= 0) & (b >= 0)
-    zero = np.zeros_like(a)
-    with np.errstate(divide="ignore", invalid="ignore"):  # no rung left: handled below
-        candidates = [(a, b), (zero, sxy / sxx), (sy / s0 + zero, zero)]
-    # Without the sum of squares of y, which is the same for all.
-    loss = np.stack(
-        [
-            p * p * s0 + 2 * p * q * sx + q * q * sxx - 2 * p * sy - 2 * q * sxy
-            for p, q in candidates
-        ]
-    )
-    loss[0] = np.where(inside, loss[0], np.inf)
-    loss = np.where(np.isnan(loss), np.inf, loss).transpose(1, 0, 2)
-    flat = loss.reshape(len(errors), 3 * len(exponents))
-    edge, which = np.unravel_index(flat.argmin(axis=1), (3, len(exponents)))
-    rows = np.arange(len(errors))
-    a, b = (np.stack([pair[i] for pair in candidates])[edge, rows, which] for i in range(2))
-    c = exponents[which]
-    if law == "power":
-        b = b * centre**c
-    a = np.where(sound.sum(axis=1) >= _PARAMETERS[law], a, np.inf)
-    return np.stack([a, b, c], axis=1)
+    # At the middle of the rungs b is of the errors' size, whatever the exponent.
+    centre = _centre(law, n)
+    x = np.stack([_law(law, 0.0, 1.0, c, n / centre, m) for c in exponents])
+    a, b, loss = _solve(x, np.where(sound, errors, 0), weight)
+    rows, best = np.arange(len(errors)), loss.argmin(axis=1)
+    c = exponents[best]
+    floor = np.where(sound.sum(axis=1) >= _PARAMETERS[law], a[rows, best], np.inf)
+    return np.stack([floor, b[rows, best] * centre**c, c], axis=1)
 
 
 def _refined(
     law: Law, n: Floats, m: Floats, error: Floats, sd: Floats | None
 ) -> tuple[float, float, float]:
     """The fit itself: a, b and c, refined between the exponents tried."""
-    from scipy.optimize import least_squares
+    from scipy.optimize import minimize_scalar
 
-    a, b, c = _profile(law, n, m, error[None], sd)[0]
+    a, b, c = (float(value) for value in _profile(law, n, m, error[None], sd)[0])
     if law == "grid" or b == 0:
-        return float(a), float(b), float(c)
-    scale = error if sd is None else sd
-    # b at the middle of the rungs is far better determined than b at one sample.
-    centre = float(np.exp(np.log(n).mean()))
+        return a, b, c
+    weight = (1 / (error if sd is None else sd)) ** 2
+    centre = _centre(law, n)
 
-    def deviations(p: Floats) -> Floats:
-        return (_law(law, p[0], p[1], p[2], n / centre, m) - error) / scale
+    def fit(exponent: float) -> tuple[float, float]:
+        x = (n / centre) ** -exponent
+        a, b, _ = _solve(x[None], error[None], weight[None])
+        return a.item(), b.item()
 
-    found = least_squares(
-        deviations,
-        [a, b * centre**-c, c],
-        bounds=([0, 0, _EXPONENTS[0]], [np.inf, np.inf, _EXPONENTS[-1]]),
-        x_scale=[error[-1], error[-1], 1.0],
-        xtol=1e-12,
-        ftol=1e-12,
-    )
-    a, b, c = (float(value) for value in found.x)
+    def loss(exponent: float) -> float:
+        a, b = fit(exponent)
+        deviation = a + b * (n / centre) ** -exponent - error
+        return float(deviation**2 @ weight)
+
+    step = _EXPONENTS[1] - _EXPONENTS[0]
+    ends = (max(c - step, _EXPONENTS[0]), min(c + step, _EXPONENTS[-1]))
+    found = minimize_scalar(loss, bounds=ends, method="bounded", options={"xatol": 1e-10})
+    c = float(found.x) if found.fun <= loss(c) else c
+    a, b = fit(c)
     return a, b * centre**c, c
+
+
+def _centre(law: Law, n: Floats) -> float:
+    return float(np.exp(np.log(n).mean())) if law == "power" else 1.0
+
+
+def _solve(x: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
+    """Weighted least squares of y against a + b x with a and b not negative.
+
+    From the two normal equations, or where they leave the quadrant from the better of its edges.
+
+    Args:
+        x: Shape (laws, rungs).
+        y: Shape (sets, rungs).
+        weight: Shape (sets, rungs).
+
+    Returns:
+        a, b, and the sum of squares less what does not depend on them, each (sets, laws).
+    """
+    s0, sy = weight.sum(axis=1)[:, None], (weight * y).sum(axis=1)[:, None]
+    sx, sxx, sxy = weight @ x.T, weight @ (x * x).T, (weight * y) @ x.T
+    determinant = s0 * sxx - sx * sx
+    regular = determinant > 1e-12 * s0 * sxx
+    safe = np.where(regular, determinant, 1)
+    a, b = (sxx * sy - sx * sxy) / safe, (s0 * sxy - sx * sy) / safe
+    inside = regular & (a >= 0) & (b >= 0)
+    nothing = s0 == 0  # no rung left
+    only_b = sxy / np.where(nothing, 1, sxx)
+    only_a = np.broadcast_to(sy / np.where(nothing, 1, s0), a.shape)
+    edge_b, edge_a = -only_b * sxy, -only_a * sy
+    a = np.where(inside, a, np.where(edge_b <= edge_a, 0, only_a))
+    b = np.where(inside, b, np.where(edge_b <= edge_a, only_b, 0))
+    return a, b, a * a * s0 + 2 * a * b * sx + b * b * sxx - 2 * a * sy - 2 * b * sxy

@@ -14,25 +14,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def judge(rows: "pd.DataFrame", method: str, tolerance: Tolerance, by_chance: bool) -> list[Rung]:
-    """Holds every rung of a method's ladder against the tolerance.
+def judge(of_line: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) -> list[Rung]:
+    """Holds every rung of a ladder against the tolerance.
 
     Of n trainings k meet the tolerance. The one-sided Clopper-Pearson lower end p of the share of
     single trainings that would meet it gives 1 - (1 - p)^K for the best of K. The rung meets the
     wish where that reaches ``success_share``. A method without chance meets it or does not.
 
     Args:
-        rows: Outcomes.
-        method: The method.
+        of_line: Outcomes of one method on one design.
         tolerance: The wish.
-        by_chance: Whether a training of it succeeds or fails by chance.
+        by_chance: Whether a training succeeds or fails by chance.
 
     Returns:
         The rungs, fewest samples first.
     """
-    return [
-        _rung(n, group, tolerance, by_chance) for n, group in by_rung(rows, method) if len(group)
-    ]
+    return [_rung(n, group, tolerance, by_chance) for n, group in by_rung(of_line)]
 
 
 def standing(rungs: list[Rung]) -> Rung | None:
@@ -92,6 +89,7 @@ def _rung(n: int, group: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) 
         n_met=n_met,
         n_undecided=int(undecided.sum()),
         n_certified=int(group["certified"].sum()),
+        n_verified=int(group["verified"].sum()),
         success=success,
         success_lower=lower,
         meets=meets,

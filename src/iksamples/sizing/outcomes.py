@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,26 +17,37 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "method",
+    "design",
     "label",
     "n_samples",
     "points_per_axis",
     "seed",
     "error_mm",
     "certified",
+    "verified",
     "attained_mm",
 )
 """Columns of the outcomes; ``outcomes`` says what they hold."""
 
 _KEYS = ["method", "samples_per_axis", "n_samples", "seed"]
 _PROOF = ["sup_lower_mm", "sup_upper_mm", "verified"]
+_VERIFIED = "verified_proof"
 _ROUNDING = 1e-4
 """Errors over the workspace are kept in single precision."""
+
+
+class Line(NamedTuple):
+    """A line of the comparison: a method, on samples placed by a design."""
+
+    method: str
+    design: str
 
 
 def all_cells(study: Study, results: str | Path) -> Iterator[Cell]:
     """Every method of a study on every set of samples."""
     for method in study.all_methods:
-        yield from cells(study, results, method)
+        for design in study.samples.designs:
+            yield from cells(study, results, method, design)
 
 
 def certificates(results: str | Path) -> "pd.DataFrame | None":
@@ -71,9 +82,9 @@ def outcomes(
     """One row for each seed of each method on each set of samples.
 
     The error is the one the study's tolerance is about. For the worst case over the workspace it is
-    the certificate's upper bound where there is one that the independent checker has verified, and
-    else the largest error measured, which is less than the true worst case. Everything else is
-    measured. A seed that diverged has an infinite error: it counts as a training that failed.
+    the certificate's upper bound where there is one, and else the largest error measured, which is
+    less than the true worst case. Everything else is measured. A seed that diverged has an infinite
+    error: it counts as a training that failed.
 
     Args:
         study: The study; its ``tolerance`` says which error.
@@ -82,8 +93,9 @@ def outcomes(
         proofs: What ``certificates`` returned.
 
     Returns:
-        Columns ``COLUMNS``, sorted by method (in the study's order), samples and seed. ``error_mm``
-        is what is held against the tolerance, ``certified`` whether it is a proved upper bound, and
+        Columns ``COLUMNS``, sorted by method and design (in the study's order), samples and seed.
+        ``error_mm`` is what is held against the tolerance, ``certified`` whether it is a proved
+        upper bound, ``verified`` whether the independent checker has been through that proof, and
         ``attained_mm`` an error that is known to occur: the certificate's lower bound, or what was
         measured.
 
@@ -92,45 +104,55 @@ def outcomes(
     """
     import pandas as pd
 
-    frames = [_measured(study, cell) for cell in cells]
-    rows = pd.concat([frame for frame in frames if frame is not None], ignore_index=True)
-    rows["certified"] = False
+    measured = [_measured(study, cell) for cell in cells]
+    frames = [frame for frame in measured if frame is not None]
+    if not frames:
+        raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
+    rows = pd.concat(frames, ignore_index=True)
+    rows["certified"] = rows["verified"] = False
     rows["attained_mm"] = rows["error_mm"]
     if proofs is not None and is_certifiable(study.tolerance):
         rows = _with_proofs(rows, proofs)
-    order = {name: i for i, name in enumerate(study.all_methods)}
-    rows["_order"] = rows["method"].map(order)
-    rows = rows.sort_values(["_order", "n_samples", "seed"], kind="stable")
+    names, designs = list(study.all_methods), list(study.samples.designs)
+    order = {"method": names.index, "design": designs.index}
+    rows = rows.sort_values(
+        ["method", "design", "n_samples", "seed"],
+        key=lambda column: column.map(order[column.name]) if column.name in order else column,
+    )
     return rows.reset_index(drop=True)[list(COLUMNS)]
 
 
-def by_rung(rows: "pd.DataFrame", method: str) -> "list[tuple[int, pd.DataFrame]]":
-    """A method's outcomes for each number of samples, fewest first.
+def lines(rows: "pd.DataFrame") -> "list[tuple[Line, pd.DataFrame]]":
+    """The outcomes of each method on each design, in their order."""
+    found = []
+    for method, design in dict.fromkeys(zip(rows["method"], rows["design"], strict=True)):
+        of_line = rows[(rows["method"] == method) & (rows["design"] == design)]
+        found.append((Line(method, design), of_line))
+    return found
+
+
+def by_rung(of_line: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":
+    """The outcomes of one line for each number of samples, fewest first.
 
     Raises:
-        IksamplesError: Two sets of samples of the method have the same number of samples.
+        IksamplesError: Two sets of its samples have the same number of samples.
     """
-    of_method = rows[rows["method"] == method]
     groups = []
-    for n in sorted(of_method["n_samples"].unique()):
-        group = of_method[of_method["n_samples"] == n]
+    for n in sorted(of_line["n_samples"].unique()):
+        group = of_line[of_line["n_samples"] == n]
         if group["label"].nunique() > 1:
             labels = " and ".join(group["label"].unique())
-            raise IksamplesError(
-                f"{method}: {labels} have {n} samples both; hand over one design at a time."
-            )
+            raise IksamplesError(f"{labels} have {n} samples both; leave one of them out.")
         groups.append((int(n), group))
     return groups
 
 
-def errors_matrix(rows: "pd.DataFrame", method: str) -> "pd.DataFrame":
-    """A method's errors [mm], a row per seed and a column per number of samples.
+def errors_matrix(of_line: "pd.DataFrame") -> "pd.DataFrame":
+    """Errors of one line [mm], a row per seed and a column per number of samples.
 
     Only the seeds that every number of samples has, so that a row is the same seed all along.
     """
-    of_method = rows[rows["method"] == method]
-    matrix = of_method.pivot(index="seed", columns="n_samples", values="error_mm")
-    return matrix.dropna()
+    return of_line.pivot(index="seed", columns="n_samples", values="error_mm").dropna()
 
 
 def errors_at_samples(study: Study, cell: Cell) -> "np.ndarray | None":
@@ -186,6 +208,7 @@ def _measured(study: Study, cell: Cell) -> "pd.DataFrame | None":
     return pd.DataFrame(
         {
             "method": cell.method,
+            "design": cell.samples.design,
             "label": cell.label,
             "n_samples": cell.samples.n_samples,
             "points_per_axis": cell.samples.points_per_axis,
@@ -197,12 +220,24 @@ def _measured(study: Study, cell: Cell) -> "pd.DataFrame | None":
 
 def _with_proofs(rows: "pd.DataFrame", proofs: "pd.DataFrame") -> "pd.DataFrame":
     """Puts the certified upper bound in the place of what was measured."""
-    on = proofs.rename(columns={"samples_per_axis": "points_per_axis"})
-    keys = ["method", "points_per_axis", "n_samples", "seed"]
-    rows = rows.merge(on[[*keys, *_PROOF]], on=keys, how="left", validate="one_to_one")
-    upper = rows["sup_upper_mm"].to_numpy(float)
+    keys = ["method", "label", "seed"]
+    if "label" not in proofs.columns:
+        if rows["design"].nunique() > 1:
+            raise IksamplesError(
+                "certificates.csv: no column label, which a study of several designs needs. Delete "
+                "the file and run the study again."
+            )
+        keys = ["method", "points_per_axis", "n_samples", "seed"]
+    on = proofs.rename(columns={"samples_per_axis": "points_per_axis", "verified": _VERIFIED})
+    on = on[[*keys, "sup_lower_mm", "sup_upper_mm", _VERIFIED]]
+    if on.duplicated(keys).any():
+        raise IksamplesError(
+            "certificates.csv: a network is in it twice. Delete the file and run the study again."
+        )
+    rows = rows.merge(on, on=keys, how="left")
+    upper, lower = rows["sup_upper_mm"].to_numpy(float), rows["sup_lower_mm"].to_numpy(float)
     measured = rows["error_mm"].to_numpy(float)
-    proved = (rows["verified"] == True) & np.isfinite(upper) & np.isfinite(measured)  # noqa: E712
+    proved = np.isfinite(upper) & np.isfinite(measured)
     broken = rows[proved & (measured > upper * (1 + _ROUNDING))]
     if len(broken):
         first = broken.iloc[0]
@@ -211,9 +246,15 @@ def _with_proofs(rows: "pd.DataFrame", proofs: "pd.DataFrame") -> "pd.DataFrame"
             f"{first['error_mm']:.4g} mm, above its certified bound {first['sup_upper_mm']:.4g} mm."
             " The certificates are not of these networks; delete certificates.csv and run again."
         )
-    rows["certified"] = proved.to_numpy(bool)
+    rows["certified"] = proved
+    rows["verified"] = proved & _is_true(rows[_VERIFIED])
     # The better of two errors that are known to occur.
-    attained = np.fmax(measured, rows["sup_lower_mm"].to_numpy(float))
-    rows["attained_mm"] = np.where(proved, np.minimum(attained, upper), measured)
+    attained = np.fmin(np.fmax(measured, lower), upper)
+    rows["attained_mm"] = np.where(proved, attained, measured)
     rows["error_mm"] = np.where(proved, upper, measured)
     return rows
+
+
+def _is_true(column: "pd.Series") -> "np.ndarray":
+    """Truth of a column that was text, numbers or truth values in a CSV, with gaps."""
+    return column.astype(str).str.lower().isin(["true", "1", "1.0"]).to_numpy(bool)

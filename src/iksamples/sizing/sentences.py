@@ -1,43 +1,77 @@
 """The answer in sentences. Each says what is certified, measured or extrapolated, and how sure."""
 
-from iksamples.sizing.answer import Below, Cause, Rung, Status
-from iksamples.sizing.beyond import Beyond
+import math
+
+from iksamples.sizing.answer import Rung
+from iksamples.sizing.beyond import Beyond, is_random
+from iksamples.sizing.curves import NEVER
+from iksamples.sizing.finding import Finding
 from iksamples.sizing.words import (
     described,
     millimetres,
     percent,
     percent_down,
+    placed,
     plain_millimetres,
     several,
     whole,
 )
-from iksamples.study import Study
+from iksamples.study import NETWORK, Study
 
 
-def evidence(study: Study, n_points: int, certified: bool) -> str:
-    """``certified``, or how it was measured."""
-    if certified:
-        return "certified"
-    return f"measured at {_points(study, n_points)}, not certified"
+def headline(study: Study, findings: list[Finding]) -> str:
+    """The wish, the line that needs fewest samples, the study's own network, and the best other.
+
+    The exact inverse is a reference and recommended to nobody who asks for samples.
+    """
+    candidates = [one for one in findings if _kind(study, one) != "analytic"] or findings
+    answered = [one for one in candidates if one.status == "answered"]
+    answered.sort(
+        key=lambda one: (one.n_samples, not _certified(one), _kind(study, one) != "network")
+    )
+    best = answered[:1]
+    networks = [one for one in answered if _kind(study, one) == "network"]
+    own = [one for one in findings if one.line.method == NETWORK]
+    rest = [one for one in answered if _kind(study, one) != "network"]
+    others: list[Finding] = []
+    for one in (*networks[:1], *own[:1], *rest[:1]):
+        if one not in (*best, *others):
+            others.append(one)
+    clauses = [_lead(study, one) for one in best]
+    clauses += [_clause(study, one) for one in others or ([] if best else candidates[:1])]
+    return f"{_wish(study, findings)}: {'; '.join(clauses)}."
 
 
-def wish(study: Study, any_certified: bool, by_chance: bool, n_points: int) -> str:
+def told(study: Study, one: Finding) -> list[str]:
+    """One line's answer, and by how much the rung below it fails; or why there is none."""
+    lines = _answered(study, one) if one.status == "answered" else _not_answered(study, one)
+    return lines + _luck(one.rungs, one.found) + _undecided(one.shown)
+
+
+def points_measured(study: Study) -> int:
+    """Points at which the error that the tolerance is about is measured."""
+    where = study.tolerance.where
+    if where == "workspace":
+        return study.evaluation.cube_points
+    return study.evaluation.paths[where].waypoints
+
+
+def _wish(study: Study, findings: list[Finding]) -> str:
     """What is asked for, as the head of a sentence."""
     tolerance = study.tolerance
     at_most = plain_millimetres(tolerance.error_mm)
-    path = None if tolerance.where == "workspace" else tolerance.where
-    place = f"the path {path}" if path else "the workspace"
-    if tolerance.of == "worst":
-        if any_certified:
-            text = f"For every point of {place} within {at_most}"
-        else:
-            points = _points(study, n_points)
-            text = f"For all {points} measured {'along' if path else 'in'} {place} within {at_most}"
-    elif tolerance.of == "mean":
+    path = tolerance.where != "workspace"
+    place = f"the path {tolerance.where}" if path else "the workspace"
+    if tolerance.of == "mean":
         text = f"For a mean error of at most {at_most} over {place}"
-    else:
+    elif tolerance.of != "worst":
         text = f"For {tolerance.of[1:]} % of {place} within {at_most}"
-    if not by_chance:
+    elif any(_certified(one) for one in findings):
+        text = f"For every point of {place} within {at_most}"
+    else:
+        along = "along" if path else "in"
+        text = f"For all {_points(study)} measured {along} {place} within {at_most}"
+    if not any(is_random(study, one.line.method) for one in findings):
         return text
     sure, share = percent(tolerance.confidence), percent(tolerance.success_share)
     if tolerance.best_of == 1:
@@ -48,202 +82,169 @@ def wish(study: Study, any_certified: bool, by_chance: bool, n_points: int) -> s
     )
 
 
-def lead(study: Study, name: str, rung: Rung, n_points: int) -> str:
-    """The clause of the method that the headline recommends."""
-    subject, proof = described(study, name), _proof(study, rung, n_points)
+def _lead(study: Study, one: Finding) -> str:
+    """The clause of the line that the headline recommends."""
+    subject, proof = described(study, one.line.method), _proof(study, one.shown)
     both = f"{subject[:-1]}; {proof})" if subject.endswith(")") else f"{subject} ({proof})"
-    return f"{several(rung.n_samples, 'sample')} and {both}"
+    n = several(one.shown.n_samples, "sample")
+    return f"{n}{placed(study, one.line.design)} and {both}"
 
 
-def clause(
-    study: Study,
-    name: str,
-    status: Status,
-    rung: Rung,
-    beyond: Beyond | None,
-    seeds: int | None,
-    n_points: int,
-) -> str:
-    """The clause of any other method.
-
-    Args:
-        study: The study.
-        name: The method.
-        status: Its status.
-        rung: The answer's rung, or else the largest.
-        beyond: What the curves say.
-        seeds: Trainings that would settle it, where that is the problem.
-        n_points: Points measured.
-    """
-    subject = described(study, name)
-    if study.all_methods[name].kind == "analytic" and status == "answered":
-        return f"{subject} needs none"
-    if status == "answered":
-        return f"{subject} needs {whole(rung.n_samples)} ({_proof(study, rung, n_points)})"
-    if status == "more-seeds":
-        many = f", at least {whole(seeds)}" if seeds else ""
-        return f"{subject} takes more trainings than {rung.n_seeds} to tell{many}"
-    if status == "unreachable":
+def _clause(study: Study, one: Finding) -> str:
+    """The clause of any other line."""
+    method, rung = one.line.method, one.shown
+    subject = described(study, method) + placed(study, one.line.design)
+    if one.status == "answered":
+        if _kind(study, one) == "analytic":
+            return f"{subject} needs none"
+        return f"{subject} needs {whole(rung.n_samples)} ({_proof(study, rung)})"
+    if one.status == "more-seeds":
+        few = f"{several(rung.n_seeds, 'training')} are too few to tell"
+        return f"for {subject}, {few} ({whole(one.seeds or 0)} might do)"
+    if one.status == "unreachable":
         return f"with {subject} it is not reachable, however many samples (by its learning curve)"
     more = f"{subject} needs more than {whole(rung.n_samples)}"
-    if status == "extrapolated" and beyond and beyond.n_samples:
-        return f"{more} (extrapolated: {whole(beyond.n_samples)})"
+    if one.status == "extrapolated" and one.n_samples:
+        return f"{more} (extrapolated: {whole(one.n_samples)})"
     return more
 
 
-def answered(
-    study: Study, rung: Rung, below: Below | None, smaller: Rung | None, n_points: int
-) -> list[str]:
-    """Sentences on an answer that lies on the ladder, and on the rung below."""
-    lines = [f"{_count(study, rung)}; {_kept(study, rung, n_points)}."]
-    if below is None or smaller is None:
-        lines.append("Fewer samples were not tried.")
-    elif below.short is None:
-        excess = "" if below.excess_mm is None else f", {millimetres(below.excess_mm)} too much"
-        lines.append(
-            f"One rung below, with {several(smaller.n_samples, 'sample')}, the error is "
-            f"{_shown(smaller.error_worst_mm)}{excess}."
-        )
-    else:
-        lines.append(f"One rung below it fails: {_failing(study, smaller)}.")
-    return lines
-
-
-def not_answered(
-    study: Study, status: Status, rung: Rung, beyond: Beyond | None, seeds: int | None
-) -> list[str]:
-    """Sentences on a tolerance that the ladder does not meet.
-
-    Args:
-        study: The study.
-        status: The method's status.
-        rung: The largest rung.
-        beyond: What the curves say.
-        seeds: Trainings that would settle it, where that is the problem.
-    """
+def _answered(study: Study, one: Finding) -> list[str]:
+    """An answer that lies on the ladder, and the rung below it."""
+    rung, below = one.shown, one.smaller
+    proof = _evidence(study, rung)
+    head = f"With {several(rung.n_samples, 'sample')}"
+    if _kind(study, one) == "analytic":
+        return [f"It needs no samples; its error is {_shown(rung.kept_mm)} ({proof})."]
     if rung.success_lower is None:
-        lines = [
-            f"With {several(rung.n_samples, 'sample')}, the most tried, the error is "
-            f"{_shown(rung.error_worst_mm)}."
-        ]
+        lines = [f"{head} the error is {_shown(rung.kept_mm)} ({proof}); nothing in it is chance."]
     else:
-        lines = [f"The most samples tried fail: {_failing(study, rung)}."]
-    if status == "more-seeds" and seeds:
+        lines = [
+            f"{head} {_met(study, rung)}. As sure as wished, it keeps to {_shown(rung.kept_mm)} "
+            f"({proof})."
+        ]
+    if below is None:
+        return [*lines, "Fewer samples were not tried."]
+    return [*lines, f"One rung below it fails: {_failing(study, below)}."]
+
+
+def _not_answered(study: Study, one: Finding) -> list[str]:
+    """A tolerance that the ladder does not meet."""
+    rung, beyond, tolerance = one.shown, one.beyond, study.tolerance
+    lines = [f"The most samples tried fail: {_failing(study, rung)}."]
+    if one.status == "more-seeds":
         lines.append(
-            f"{rung.n_met} of {rung.n_seeds} is too few trainings to be this sure: at the share "
-            f"seen, at least {whole(seeds)} are needed (training.seeds)."
+            f"The share that succeeded is larger than wished, but {rung.n_seeds} trainings are too "
+            f"few to be sure of it: if it stays as it is, {whole(one.seeds or 0)} would be enough "
+            "(training.seeds)."
         )
-    if beyond is None:
+    if beyond is None or one.status == "more-seeds":
         return lines
-    tolerance = study.tolerance
-    if status == "unreachable" and beyond.curve:
-        floor = beyond.curve.floor_mm
+    if one.status == "unreachable" and beyond.curve:
+        level = beyond.curve.level_mm
         lines.append(
-            "Not reachable with this method, however many samples: its learning curve levels off "
-            f"at {millimetres(floor.value)} (95 % interval {millimetres(floor.low)} to "
-            f"{millimetres(floor.high)}), above {plain_millimetres(tolerance.error_mm)}. "
-            f"{_test_of(beyond)}"
+            f"Not reachable with this method, however many samples: by its learning curve even "
+            f"{whole(NEVER)} times the most tried leave {millimetres(level.value)} (95 % interval "
+            f"{millimetres(level.low)} to {millimetres(level.high)}) where "
+            f"{plain_millimetres(tolerance.error_mm)} are wished. {_test_of(beyond)}"
         )
-    elif status == "extrapolated" and beyond.curve and beyond.n_samples:
+    elif one.status == "extrapolated" and beyond.curve and beyond.n_samples:
         needed = beyond.curve.needed(tolerance.error_mm, tolerance.confidence)
-        grid = f", a grid of {beyond.points_per_axis} per axis" if beyond.points_per_axis else ""
-        sure = (
-            f"no more than {whole(needed.upper)} with {percent(tolerance.confidence)} confidence"
-            if beyond.curve.floor_mm.known
-            else "no interval, since nothing scatters"
-        )
+        grid = f", {beyond.points_per_axis} per axis" if beyond.points_per_axis else ""
+        sure = "if it goes on as it has"
+        if beyond.curve.floor_mm.known:
+            most = whole(math.ceil(needed.upper))
+            sure = f"with {percent(tolerance.confidence)} confidence at no more than {most}, {sure}"
         lines.append(
             f"Extrapolated, not tried: {several(beyond.n_samples, 'sample')}{grid}. The learning "
-            f"curve comes down to the tolerance at {whole(needed.n_samples)} ({sure}, if the curve "
-            f"goes on as it has). {_test_of(beyond)}"
+            f"curve comes down to the tolerance at {whole(math.ceil(needed.n_samples))} ({sure}). "
+            f"{_test_of(beyond)}"
         )
-    elif status == "open" and beyond.reason:
+    else:
         lines.append(f"How many it would take cannot be said: {beyond.reason}.")
     return lines
 
 
-def luck(numbers: list[int], largest_failing: int) -> list[str]:
-    """A sentence on rungs that meet the wish though a larger one does not."""
-    if not numbers:
+def _luck(rungs: list[Rung], found: Rung | None) -> list[str]:
+    """Rungs that meet the wish though a larger one does not."""
+    below = rungs[: rungs.index(found)] if found else rungs
+    lucky = [rung for rung in below if rung.meets]
+    if not lucky:
         return []
-    which = " and ".join(whole(n) for n in numbers)
-    does = "meets" if len(numbers) == 1 else "meet"
+    larger = next(rung for rung in reversed(below) if not rung.meets)
+    which = " and ".join(whole(rung.n_samples) for rung in lucky)
     return [
-        f"{which} {does} the wish, but {whole(largest_failing)} does not, so "
-        f"{'it is' if len(numbers) == 1 else 'they are'} not counted."
+        f"{which} samples meet the wish as well, but {whole(larger.n_samples)} do not, so that is "
+        "not counted."
     ]
 
 
-def undecided(rung: Rung) -> list[str]:
-    """A sentence on certificates that stopped before they could tell."""
+def _undecided(rung: Rung) -> list[str]:
+    """Certificates that stopped before they could tell."""
     if not rung.n_undecided:
         return []
     return [
-        f"With {several(rung.n_samples, 'sample')}, {several(rung.n_undecided, 'training')} "
-        "counted as failed may succeed: the search for the certificate stopped too early to tell."
+        f"With {several(rung.n_samples, 'sample')} {several(rung.n_undecided, 'training')} "
+        "counted as failed may succeed: the search for the certificate ended too early to tell."
     ]
 
 
-def reasons(causes: list[Cause]) -> list[str]:
-    """The causes, one sentence each."""
-    return [cause.text for cause in causes]
+def _kind(study: Study, one: Finding) -> str:
+    return study.all_methods[one.line.method].kind
 
 
-def _points(study: Study, n_points: int) -> str:
-    return several(n_points, "point" if study.tolerance.where == "workspace" else "waypoint")
+def _certified(one: Finding) -> bool:
+    return one.shown.n_certified == one.shown.n_seeds
 
 
-def _proof(study: Study, rung: Rung, n_points: int) -> str:
+def _points(study: Study) -> str:
+    word = "point" if study.tolerance.where == "workspace" else "waypoint"
+    return several(points_measured(study), word)
+
+
+def _evidence(study: Study, rung: Rung) -> str:
+    """``certified``, or how it was measured."""
+    if rung.n_certified < rung.n_seeds:
+        return f"measured at {_points(study)}, not certified"
+    if rung.n_verified < rung.n_seeds:
+        return "certified, the proof not checked independently"
+    return "certified"
+
+
+def _proof(study: Study, rung: Rung) -> str:
     """The tolerance that a rung would even meet, and what shows it: ``certified: 1.60 mm``."""
-    certified = rung.n_certified == rung.n_seeds
-    return f"{evidence(study, n_points, certified)}: {_shown(rung.kept_mm)}"
+    return f"{_evidence(study, rung)}: {_shown(rung.kept_mm)}"
 
 
-def _count(study: Study, rung: Rung) -> str:
-    """How many trainings meet it, and what follows for all."""
+def _met(study: Study, rung: Rung) -> str:
+    """How many trainings succeeded, and what follows for all."""
     tolerance = study.tolerance
-    head = f"With {several(rung.n_samples, 'sample')}"
-    if rung.success_lower is None:
-        return f"{head} it meets the tolerance (no training, so nothing is left to chance)"
-    lower, sure = percent_down(rung.success_lower), percent(tolerance.confidence)
-    met = f"{head} {rung.n_met} of {rung.n_seeds} trainings meet it"
+    lower, sure = percent_down(rung.success_lower or 0), percent(tolerance.confidence)
+    met = f"{rung.n_met} of {rung.n_seeds} trainings succeed"
+    if not rung.n_met:
+        return met
     if tolerance.best_of == 1:
-        return f"{met}: with {sure} confidence at least {lower} of all trainings do"
-    return (
-        f"{met}: with {sure} confidence the best of {tolerance.best_of} does at least {lower} of "
-        "the time"
-    )
-
-
-def _kept(study: Study, rung: Rung, n_points: int) -> str:
-    """The tolerance that the rung would even meet."""
-    certified = evidence(study, n_points, rung.n_certified == rung.n_seeds)
-    if rung.success_lower is None:
-        return f"the error is {_shown(rung.kept_mm)} ({certified})"
-    kept = f"{_shown(rung.kept_mm)} would still be met ({certified})"
-    return f"at the share and confidence wished, {kept}"
+        return f"{met}; with {sure} confidence at least {lower} of all trainings do"
+    best = f"the best of {tolerance.best_of} does at least {lower} of the time"
+    return f"{met}; with {sure} confidence {best}"
 
 
 def _failing(study: Study, rung: Rung) -> str:
     """How far a rung is from the wish."""
     tolerance = study.tolerance
-    lower = percent_down(rung.success_lower or 0)
-    success = "at least" if tolerance.best_of == 1 else f"best of {tolerance.best_of}: at least"
-    text = (
-        f"with {several(rung.n_samples, 'sample')} {rung.n_met} of {rung.n_seeds} trainings meet it"
-        f" ({success} {lower} with {percent(tolerance.confidence)} confidence, wished "
-        f"{percent(tolerance.success_share)})"
-    )
-    if rung.kept_mm is not None and rung.kept_mm > tolerance.error_mm:
-        excess = rung.kept_mm - tolerance.error_mm
-        text += (
-            f"; what it meets as wished is {_shown(rung.kept_mm)}, {millimetres(excess)} too much"
-        )
-    return text
+    head = f"with {several(rung.n_samples, 'sample')}"
+    excess = "" if rung.kept_mm is None else millimetres(rung.kept_mm - tolerance.error_mm)
+    if rung.success_lower is None:
+        much = f", {excess} too much" if excess else ""
+        return f"{head} the error is {_shown(rung.kept_mm)}{much}"
+    text = f"{head} {_met(study, rung)}, where {percent(tolerance.success_share)} are wished"
+    if rung.kept_mm is None:
+        return text
+    return f"{text}. As sure as wished, it keeps to {millimetres(rung.kept_mm)}, {excess} too much"
 
 
 def _shown(error_mm: float | None) -> str:
-    return "infinite" if error_mm is None else millimetres(error_mm)
+    return "not finite" if error_mm is None else millimetres(error_mm)
 
 
 def _test_of(beyond: Beyond) -> str:
@@ -256,6 +257,6 @@ def _test_of(beyond: Beyond) -> str:
     way = "high" if held_out.relative_error > 0 else "low"
     law = "a + b n^-c" if curve.law == "power" else "a + b / (m - 1)^2"
     return (
-        f"A test of it ({law}): fitted without the {whole(held_out.n_samples)} samples, it is "
-        f"{much} too {way} there."
+        f"A test of the curve ({law}): fitted without the {whole(held_out.n_samples)} samples, it "
+        f"is {much} too {way} there."
     )

@@ -52,9 +52,9 @@ def interquartile_mean(errors: ArrayLike, axis: int = 0) -> Floats:
     A quarter of the values, rounded down, is left out at either end (Agarwal et al. 2021,
     arXiv 2108.13264). Up to a quarter of diverged seeds (infinite errors) do no harm.
     """
-    from scipy.stats import trim_mean
-
-    return np.asarray(trim_mean(np.asarray(errors, float), 0.25, axis=axis))
+    ordered = np.sort(np.moveaxis(np.asarray(errors, float), axis, 0), axis=0)
+    out = len(ordered) // 4
+    return np.asarray(ordered[out : len(ordered) - out].mean(axis=0))
 
 
 def share_quantile(errors: ArrayLike, share: float, axis: int = 0) -> Floats:
@@ -80,20 +80,16 @@ def share_lower(n_met: int, n: int, confidence: float) -> float:
         n: Trainings.
         confidence: Of the share being no smaller.
     """
-    from scipy.stats import binomtest
+    from scipy.special import betaincinv
 
-    if n == 0:
-        return 0.0
-    test = binomtest(n_met, n, alternative="greater")
-    return float(test.proportion_ci(confidence_level=confidence, method="exact").low)
+    return float(betaincinv(n_met, n - n_met + 1, 1 - confidence)) if n_met else 0.0
 
 
 def share_interval(n_met: int, n: int) -> Interval:
     """A share with its two-sided 95 % interval (Clopper and Pearson 1934)."""
-    from scipy.stats import binomtest
-
-    ends = binomtest(n_met, n).proportion_ci(confidence_level=LEVEL, method="exact")
-    return Interval(n_met / n, float(ends.low), float(ends.high))
+    tail = (1 - LEVEL) / 2
+    high = 1 - share_lower(n - n_met, n, 1 - tail)
+    return Interval(n_met / n, share_lower(n_met, n, 1 - tail), high)
 
 
 def best_of_share(share: float, best_of: int) -> float:
@@ -126,11 +122,9 @@ def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
     Raises:
         IksamplesError: More than ten million.
     """
-    from scipy.stats import beta
 
     def reaches(n: int) -> bool:
-        # The lower end of n - failures successes (Clopper and Pearson 1934), as in share_lower.
-        return bool(beta.ppf(1 - confidence, n - failures, failures + 1) >= share)
+        return share_lower(n - failures, n, confidence) >= share
 
     high = failures + 1
     while not reaches(high):
@@ -148,17 +142,16 @@ def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
 
 
 def compare(
-    rows: "pd.DataFrame", method: str, other: str, rng: np.random.Generator
+    ours: "pd.DataFrame", theirs: "pd.DataFrame", rng: np.random.Generator
 ) -> "pd.DataFrame":
-    """A method's error over another's, seed by seed on the same samples.
+    """One line's error over another's, seed by seed at equal numbers of samples.
 
     A seed gives two networks of one shape the same initial weights and shuffles; pairing takes what
     that has in common out of the comparison. A method of one member is held against every seed.
 
     Args:
-        rows: Outcomes.
-        method: The method.
-        other: The one it is compared with.
+        ours: Outcomes of one method on one design.
+        theirs: Outcomes it is compared with.
         rng: Draws the resamples.
 
     Returns:
@@ -169,12 +162,12 @@ def compare(
     import pandas as pd
 
     records = []
-    ours, theirs = (rows[rows["method"] == name] for name in (method, other))
     for n in sorted(set(ours["n_samples"]) & set(theirs["n_samples"])):
         first, second = _paired(ours[ours["n_samples"] == n], theirs[theirs["n_samples"] == n])
         if not len(first):
             continue
-        ratio = first / second
+        with np.errstate(divide="ignore", invalid="ignore"):  # the exact inverse may have none
+            ratio = first / second
         resampled: Floats | list[float] = []
         if len(ratio) >= FEWEST_SEEDS:
             resampled = np.median(ratio[draws(len(ratio), rng)], axis=1)

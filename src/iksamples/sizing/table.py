@@ -33,7 +33,9 @@ def paper_table() -> "pd.DataFrame":
     )
 
 
-def study_table(study: Study, cells: Iterable[Cell]) -> "pd.DataFrame":
+def study_table(
+    study: Study, cells: Iterable[Cell], certificates: "pd.DataFrame"
+) -> "pd.DataFrame":
     """Aggregates the errors and estimates of every grid over its seeds.
 
     Means over seeds; ``error_sd_mm`` is the standard deviation over seeds of a seed's mean error
@@ -43,6 +45,7 @@ def study_table(study: Study, cells: Iterable[Cell]) -> "pd.DataFrame":
     Args:
         study: The study.
         cells: One cell per grid.
+        certificates: Certified worst cases, columns as in ``columns.CERTIFICATES``.
 
     Returns:
         One row per grid, columns as in ``columns.COLUMNS``.
@@ -73,6 +76,9 @@ def study_table(study: Study, cells: Iterable[Cell]) -> "pd.DataFrame":
         row["estimate_mm"] = bounds[f"estimate_{name}_mm"].mean()
         row["wbar"] = bounds[f"wbar_{name}"].mean()
         row["above_estimate"] = bounds[f"above_{name}"].mean()
+        proved = certificates.query("method == @cell.method and label == @cell.label")
+        row["sup_median_mm"] = proved["sup_upper_mm"].median()
+        row["sup_worst_mm"] = proved["sup_upper_mm"].max()
         on_paper = published.loc[m] if m in published.index else None
         for column in published.columns.drop("n_samples"):
             row[column] = np.nan if on_paper is None else on_paper[column]

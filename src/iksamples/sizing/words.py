@@ -21,7 +21,16 @@ _OTHERS = {
     "gaussian-process": "a Gaussian process on the same samples",
     "analytic": "the exact inverse",
 }
-_RECIPE = ("optimizer", "learning_rate", "batch_size", "epochs", "steps", "early_stopping")
+_PLACED = {
+    "grid": "on an even grid",
+    "chebyshev": "at Chebyshev nodes",
+    "sobol": "at Sobol points",
+    "latin": "in a Latin hypercube",
+    "uniform": "at random in the workspace",
+    "joints": "at random in joint space",
+    "adaptive": "where trained networks disagreed",
+}
+_NO_RECIPE = {"seeds", "first_seed", "snapshots", "engine", "accelerator"}
 
 
 def described(study: Study, name: str) -> str:
@@ -36,14 +45,26 @@ def described(study: Study, name: str) -> str:
     return f"the study's own network ({recipe})" if name == NETWORK else f"{name} ({recipe})"
 
 
+def placed(study: Study, design: str) -> str:
+    """Where samples lie, with a space in front; nothing to say where the study has one design."""
+    if len(study.samples.designs) == 1:
+        return ""
+    return f" {_PLACED.get(design, design)}"
+
+
 def is_paper_recipe(method: Method) -> bool:
     """Whether a network has the paper's shape, activation and training."""
-    ours, theirs = method.training, Training()
     return (
         method.kind == "network"
         and method.network == Network()
-        and all(getattr(ours, key) == getattr(theirs, key) for key in _RECIPE)
+        and same_training(method.training, Training())
     )
+
+
+def same_training(ours: Training, theirs: Training) -> bool:
+    """Whether two trainings are alike in all but which seeds are trained, and by what engine."""
+    first, second = (training.model_dump(exclude=_NO_RECIPE) for training in (ours, theirs))
+    return first == second
 
 
 def network_recipe(method: Method) -> str:
@@ -57,7 +78,8 @@ def network_recipe(method: Method) -> str:
     )
     if training.early_stopping:
         budget = f"up to {budget}"
-    return f"{neurons}, {budget} of {_OPTIMIZERS.get(training.optimizer, training.optimizer)}"
+    recipe = f"{neurons}, {budget} of {_OPTIMIZERS.get(training.optimizer, training.optimizer)}"
+    return recipe if training.schedule == "constant" else f"{recipe}, {training.schedule} schedule"
 
 
 def millimetres(value: float) -> str:
@@ -87,8 +109,8 @@ def percent_down(share: float) -> str:
 
 
 def whole(n: float) -> str:
-    """A whole number, thousands apart: ``32 000``."""
-    return f"{n:,.0f}".replace(",", " ")
+    """A whole number, thousands apart by a thin space."""
+    return f"{n:,.0f}".replace(",", "\u202f")
 
 
 def several(n: int, thing: str) -> str:

@@ -1,13 +1,12 @@
 """The four files a training leaves in its folder; every later step reads these."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from iksamples.samples.dataset import SampleSet
 from iksamples.training.cache import write_whole
-from iksamples.training.network import StackedMLP
+from iksamples.training.network import StackedMLP, write_tensors
 from iksamples.training.problem import Problem
 from iksamples.training.record import METRICS, Record, unstack
 
@@ -47,8 +46,6 @@ def final_network(problem: Problem, samples: SampleSet, record: Record) -> Stack
 
 
 def _save_snapshots(path: Path, network: StackedMLP, record: Record) -> None:
-    from safetensors.numpy import save_file
-
     sizes = [weight.shape[1] for weight in network.weights] + [network.biases[-1].shape[1]]
     kernels, biases = unstack(record.snapshots, sizes)
     tensors: dict[str, np.ndarray] = {
@@ -59,8 +56,7 @@ def _save_snapshots(path: Path, network: StackedMLP, record: Record) -> None:
     for depth, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
         tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(kernel)
         tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
-    header = {"activation": network.activation, "seeds": list(network.seeds)}
-    save_file(tensors, path, {key: json.dumps(value) for key, value in header.items()})
+    write_tensors(path, tensors, {"activation": network.activation, "seeds": list(network.seeds)})
 
 
 def _history(record: Record) -> dict[str, np.ndarray]:

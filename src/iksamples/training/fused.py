@@ -5,10 +5,12 @@ whose results are dropped. Groups are independent, so they run on as many thread
 without any effect on the numbers.
 """
 
+import hashlib
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from iksamples.training import kernel
+from iksamples.training import kernel, lanes
 from iksamples.training.problem import Problem, learning_rates
 from iksamples.training.progress import Progress
 from iksamples.training.reference import BETA_1, BETA_2, EPSILON, StackedAdam
@@ -57,16 +59,16 @@ class FusedEngine:
         history = np.full((n_groups, n_epochs, 5, LANES), np.nan, w.dtype)
         rates, epsilons = step_sizes(problem, epochs, w.dtype)
 
-        def lanes(values: Any) -> Any:
+        def spread(values: Any) -> Any:
             """Values per seed as values per group and lane."""
             taken = np.asarray(values)[self.rows]
             return taken.reshape(n_groups, LANES, *taken.shape[1:])
 
-        seeds = lanes(np.array(problem.seeds, np.uint64))
-        train_rows, validation_rows = lanes(problem.train_rows), lanes(problem.validation_rows)
-        best_loss, factor = lanes(progress.best_loss), lanes(progress.factor)
+        seeds = spread(np.array(problem.seeds, np.uint64))
+        train_rows, validation_rows = spread(problem.train_rows), spread(problem.validation_rows)
+        best_loss, factor = spread(progress.best_loss), spread(progress.factor)
         names = ("best_epoch", "waited", "stalled", "stopped")
-        counters = np.stack([lanes(getattr(progress, name)) for name in names], axis=1)
+        counters = np.stack([spread(getattr(progress, name)) for name in names], axis=1)
 
         def arguments(group: int) -> tuple[Any, ...]:
             return (
@@ -179,4 +181,9 @@ def compiled(*arguments: Any) -> Callable[..., None]:
 def _dispatcher(cached: bool) -> Any:
     import numba
 
-    return numba.njit(nogil=True, cache=cached)(kernel.train_group)
+    # numba's cache watches only the file of the function that it keeps; so its name carries the
+    # content of both files.
+    content = b"".join(Path(str(module.__file__)).read_bytes() for module in (kernel, lanes))
+    loop = kernel.train_group
+    loop.__qualname__ = f"train_group_{hashlib.sha256(content).hexdigest()[:8]}"
+    return numba.njit(nogil=True, cache=cached)(loop)

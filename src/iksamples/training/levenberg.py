@@ -19,6 +19,7 @@ from iksamples.training.reference import (
     forward,
     kernel_statistics,
     layers,
+    one_thread,
     seed_losses,
 )
 
@@ -44,6 +45,7 @@ class LevenbergEngine:
         """Takes the problem whose seeds it trains."""
         self.problem = problem
 
+    @one_thread()
     def run(
         self, flat: Tensor, state: StackedAdam, progress: Progress, first: int, n_epochs: int
     ) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from iksamples.errors import IksamplesError
+
 
 Floats = NDArray[np.float64]
 Weights = NDArray[np.float32]
@@ -74,30 +76,18 @@ class StackedMLP:
             seeds=tuple(self.seeds[i] for i in index),
         )
 
-    def save(self, path: str | Path, **extra: Any) -> None:
-        """Writes the stack as a safetensors file, which runs no code when it is loaded.
-
-        Args:
-            path: The file.
-            **extra: Further metadata, JSON-serialisable.
-        """
-        from safetensors.numpy import save_file
-
+    def save(self, path: str | Path) -> None:
+        """Writes the stack as a safetensors file, which runs no code when it is loaded."""
         tensors = {"offset_mm": self.offset_mm, "scale_mm": self.scale_mm}
         for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
-        header = {"activation": self.activation, "seeds": list(self.seeds), **extra}
-        save_file(tensors, str(path), {key: json.dumps(value) for key, value in header.items()})
+        write_tensors(path, tensors, {"activation": self.activation, "seeds": list(self.seeds)})
 
     @classmethod
     def load(cls, path: str | Path) -> "StackedMLP":
         """Reads what ``save`` wrote."""
-        from safetensors import safe_open
-
-        with safe_open(str(path), framework="numpy") as file:
-            header = {key: json.loads(value) for key, value in file.metadata().items()}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        tensors, header = read_tensors(path)
         depths = range(sum(key.endswith(".weight") for key in tensors))
         return cls(
             tuple(tensors[f"layers.{depth}.weight"] for depth in depths),
@@ -107,3 +97,28 @@ class StackedMLP:
             tensors["scale_mm"],
             tuple(header["seeds"]),
         )
+
+
+def write_tensors(path: str | Path, tensors: dict[str, NDArray], header: dict[str, Any]) -> None:
+    """Writes named arrays and a JSON header as a safetensors file, the same bytes every time."""
+    from safetensors.numpy import save_file
+
+    # One entry: the format keeps several in no order of its own.
+    save_file(tensors, str(path), {"iksamples": json.dumps(header)})
+
+
+def read_tensors(path: str | Path) -> tuple[dict[str, NDArray], dict[str, Any]]:
+    """Reads what ``write_tensors`` wrote.
+
+    Raises:
+        IksamplesError: The file cannot be read or was not written by iksamples.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(str(path), framework="numpy") as file:
+            header = json.loads(file.metadata()["iksamples"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, KeyError, TypeError) as error:
+        raise IksamplesError(f"{path}: not a file of trained networks ({error}).") from None
+    return tensors, header

@@ -6,6 +6,7 @@ gradient. Any activation, depth and device; the fused engine is held against thi
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -34,6 +35,20 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-7
 """Adam's constants, those of Keras."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keeps torch to one thread: two would split a sum by the size of the stack.
+
+    These networks are too small to gain from more.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class StackedAdam(torch.optim.Optimizer):
@@ -118,6 +133,7 @@ class ReferenceEngine:
         """Takes the problem whose seeds it trains."""
         self.problem = problem
 
+    @one_thread()
     def run(
         self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
     ) -> None:

@@ -50,6 +50,9 @@ def train(
         known = {int(seed) for record in records for seed in record.seeds}
         missing.append([seed for seed in study.seeds if seed not in known])
 
+    if any(missing):
+        # Before the clock starts: it takes longer than most trainings.
+        import iksamples.training.module  # noqa: F401
     bar = _bar(study.training.epochs * sum(map(len, missing)), progress)
     with bar or nullcontext():
         for samples, folder, key, records, seeds in zip(

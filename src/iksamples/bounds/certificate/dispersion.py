@@ -1,0 +1,194 @@
+"""How far a position can be from the samples, certified for any design."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iksamples.bounds.certificate.residual import check_box
+from iksamples.bounds.certificate.search import Supremum, maximise
+from iksamples.errors import IksamplesError
+
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_NEAREST = 16
+"""Samples near a box that are tried for its upper bound."""
+_ROUNDING = 1e-12
+
+
+def covering_radius(
+    samples_mm: ArrayLike,
+    lower_mm: ArrayLike,
+    upper_mm: ArrayLike,
+    *,
+    rtol: float = 0.01,
+    max_boxes: int = 2_000_000,
+    time_limit_s: float = 60.0,
+) -> Supremum:
+    """The largest distance from a position of the box to its nearest sample [mm].
+
+    Also called fill distance or dispersion. On a full grid it is half a cell's diagonal,
+    ``sqrt(3) / 2 d`` for a cubic cell, and not d / 2.
+
+    Args:
+        samples_mm: The samples, shape (n, d).
+        lower_mm: Lower corner of the box [mm], shape (d,).
+        upper_mm: Upper corner of the box [mm], shape (d,).
+        rtol: The search ends once upper <= (1 + rtol) lower.
+        max_boxes: Boxes to bound, at most.
+        time_limit_s: Time to spend, at most [s].
+
+    Raises:
+        IksamplesError: There are no samples, or the box is empty.
+    """
+    samples = _checked(samples_mm)
+    [found] = maximise(
+        _Distance(samples, lower_mm, upper_mm),
+        rtol=rtol,
+        max_boxes=max_boxes,
+        time_limit_s=time_limit_s,
+    )
+    return found
+
+
+def cone_envelope(
+    samples_mm: ArrayLike,
+    heights_mm: ArrayLike,
+    slope: float,
+    lower_mm: ArrayLike,
+    upper_mm: ArrayLike,
+    *,
+    rtol: float = 0.01,
+    max_boxes: int = 2_000_000,
+    time_limit_s: float = 60.0,
+) -> Supremum:
+    """The supremum over a box of ``min_i (height_i + slope |x - x_i|)`` [mm].
+
+    No function that has these heights at the samples and this Lipschitz constant is larger
+    anywhere, and one such function takes it (McShane's extension).
+
+    Args:
+        samples_mm: The samples, shape (n, d).
+        heights_mm: Values at the samples [mm], shape (n,).
+        slope: The Lipschitz constant [mm/mm].
+        lower_mm: Lower corner of the box [mm], shape (d,).
+        upper_mm: Upper corner of the box [mm], shape (d,).
+        rtol: The search ends once upper <= (1 + rtol) lower.
+        max_boxes: Boxes to bound, at most.
+        time_limit_s: Time to spend, at most [s].
+
+    Raises:
+        IksamplesError: There are no samples, or the box is empty.
+    """
+    samples, heights = _checked(samples_mm), np.array(heights_mm, float)
+    if heights.shape != samples.shape[:1] or not np.isfinite(heights).all():
+        raise IksamplesError(f"need a finite height for each of the {len(samples)} samples.")
+    if not (np.isfinite(slope) and slope >= 0):
+        raise IksamplesError(f"the slope must be finite and not negative; got {slope}.")
+    [found] = maximise(
+        _Cones(samples, heights, float(slope), lower_mm, upper_mm),
+        rtol=rtol,
+        max_boxes=max_boxes,
+        time_limit_s=time_limit_s,
+    )
+    return found
+
+
+def _checked(samples_mm: ArrayLike) -> Floats:
+    samples = np.array(samples_mm, float)
+    if samples.ndim != 2 or not samples.size or not np.isfinite(samples).all():
+        raise IksamplesError(f"need finite samples of shape (n, d); got shape {samples.shape}.")
+    return samples
+
+
+class _Cones:
+    """``min_i (height_i + slope |x - x_i|)`` as an objective."""
+
+    n_networks = 1
+
+    def __init__(
+        self,
+        samples: Floats,
+        heights: Floats,
+        slope: float,
+        lower_mm: ArrayLike,
+        upper_mm: ArrayLike,
+    ) -> None:
+        from scipy.spatial import KDTree
+
+        self.lower_mm, self.upper_mm = check_box(lower_mm, upper_mm, samples.shape[1])
+        self.samples, self.heights, self.slope = samples, heights, slope
+        self.tree = KDTree(samples)
+        self.nearest = min(_NEAREST, len(samples))
+
+    def values(self, which: Ints, points_mm: Floats) -> Floats:
+        """Values at points, by all samples."""
+        values = np.empty(len(points_mm))
+        step = max(1, 4_000_000 // self.samples.size)
+        for first in range(0, len(points_mm), step):
+            some = points_mm[first : first + step]
+            distance = np.linalg.norm(some[:, None] - self.samples, axis=2)
+            values[first : first + step] = (self.heights + self.slope * distance).min(axis=1)
+        return values * (1.0 - _ROUNDING)
+
+    def upper_bounds(
+        self, which: Ints, centre_mm: Floats, radius_mm: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Bounds over boxes: the lowest of some cones, each at its farthest corner."""
+        _, near = self.tree.query(centre_mm, self.nearest)
+        near = near.reshape(len(centre_mm), -1)
+        apart = np.abs(centre_mm[:, None] - self.samples[near])
+        farthest = np.linalg.norm(apart + radius_mm[:, None], axis=2)
+        bounds = self.heights[near] + self.slope * farthest
+        best = bounds.argmin(axis=1)
+        rows = np.arange(len(best))
+        # Away from the lowest cone's sample is uphill.
+        away = np.sign(centre_mm - self.samples[near[rows, best]])
+        corner = centre_mm + np.where(away == 0, 1.0, away) * radius_mm
+        return bounds[rows, best] * (1.0 + _ROUNDING), corner[:, None], radius_mm
+
+
+class _Distance(_Cones):
+    """The distance to the nearest sample as an objective."""
+
+    def __init__(self, samples: Floats, lower_mm: ArrayLike, upper_mm: ArrayLike) -> None:
+        from scipy.spatial import Delaunay, QhullError
+
+        super().__init__(samples, np.zeros(len(samples)), 1.0, lower_mm, upper_mm)
+        self.simplices = None
+        if samples.shape[1] <= 4 and len(samples) > samples.shape[1] + 1:
+            try:
+                self.simplices = Delaunay(samples)
+            except QhullError:  # the samples lie in a plane; the cones alone do
+                self.simplices = None
+
+    def upper_bounds(
+        self, which: Ints, centre_mm: Floats, radius_mm: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """As for cones, or by a simplex of samples around the centre.
+
+        For weights w of sum 1 that are not negative, and v = sum w_i x_i, the smallest
+        ``|x - x_i|^2`` is at most ``sum w_i |x - x_i|^2 = |x - v|^2 + sum w_i |x_i - v|^2``. With
+        the weights of the simplex that holds the centre, v is the centre, and a box loses only the
+        square of its size where many samples are equally near. Any weights would do, so nothing
+        hangs on how exact the triangulation is.
+        """
+        bounds, corner, weight = super().upper_bounds(which, centre_mm, radius_mm)
+        if self.simplices is None:
+            return bounds, corner, weight
+        d = centre_mm.shape[1]
+        simplex = self.simplices.find_simplex(centre_mm)
+        inside = np.flatnonzero(simplex >= 0)
+        affine = self.simplices.transform[simplex[inside]]
+        part = np.einsum("bij,bj->bi", affine[:, :d], centre_mm[inside] - affine[:, d])
+        part = np.concatenate([part, 1.0 - part.sum(axis=1, keepdims=True)], axis=1)
+        # A flat simplex has no barycentric coordinates.
+        part = np.clip(np.nan_to_num(part, nan=1.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+        part /= part.sum(axis=1, keepdims=True)
+        vertices = self.samples[self.simplices.simplices[simplex[inside]]]
+        middle = np.einsum("bi,bij->bj", part, vertices)
+        square = np.einsum("bi,bij->b", part, (vertices - middle[:, None]) ** 2)
+        apart = np.abs(centre_mm[inside] - middle) + radius_mm[inside]
+        square += np.sum(apart**2, axis=1)
+        bounds[inside] = np.minimum(bounds[inside], np.sqrt(square) * (1.0 + _ROUNDING))
+        return bounds, corner, weight

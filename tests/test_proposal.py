@@ -1,0 +1,268 @@
+"""Where to record next: proposals, the adaptive design, and samples from elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.distance import pdist
+
+from iksamples.errors import IksamplesError
+from iksamples.robot.workspace import reach, study_chain
+from iksamples.samples.designs import fill_distance_mm
+from iksamples.samples.measured import read_samples, read_samples_csv
+from iksamples.samples.record import grid_samples, record_samples, region_points
+from iksamples.sizing.adaptive import adaptive_sets, train_seeds
+from iksamples.sizing.next_poses import next_poses
+from iksamples.sizing.proposal import disagreement_mm, propose, spread
+from iksamples.study import parse_study
+from iksamples.training.network import StackedMLP
+
+
+BOX = (20, 20, 0), (80, 80, 60)
+
+
+def linear(*maps, offset=(0.0, 0.0, 0.0)):
+    """Networks without hidden layer: q = x A_i in the unit cube's coordinates, one per matrix."""
+    weight = np.array(maps, np.float32)
+    bias = np.tile(np.float32(offset), (len(maps), 1))
+    seeds = tuple(range(len(maps)))
+    return StackedMLP((weight,), (bias,), "tanh", np.array(BOX[0]), np.full(3, 60.0), seeds)
+
+
+def yaw_apart(*slopes):
+    """Seeds whose yaw is slope * x and whose arm stays stretched out level."""
+    maps = np.zeros((len(slopes), 3, 3))
+    maps[:, 0, 0] = slopes
+    return linear(*maps)
+
+
+def in_box(positions_mm):
+    return np.all((positions_mm >= BOX[0]) & (positions_mm <= BOX[1]))
+
+
+def test_disagreement_is_what_the_seeds_angles_give_on_a_circle(chain, rng):
+    """Two seeds that turn a stretched arm by different yaws are a chord of its circle apart."""
+    points = BOX[0] + 60 * rng.random((50, 3))
+    radius = np.linalg.norm(chain.forward_mm(np.zeros(3))[:2])
+    yaw = (points[:, 0] - 20) / 60
+    # Two points are each half of their distance from their mean.
+    half_chord = radius * np.sin(yaw / 2)
+    found = disagreement_mm(yaw_apart(0.0, 1.0), chain, points)
+    np.testing.assert_allclose(found, half_chord, atol=1e-4)
+    np.testing.assert_allclose(disagreement_mm(yaw_apart(1, 1), chain, points), 0, atol=1e-9)
+
+
+def test_spread_with_equal_weights_is_the_farthest_point_design(rng):
+    points = rng.random((400, 3))
+    recorded = points[:1]
+    chosen = spread(points, np.ones(400), recorded, 12)
+    everything = np.concatenate([recorded, chosen])
+    for i in range(1, len(everything)):
+        # Gonzalez: each new point is the one that gave the fill distance so far.
+        distance = np.linalg.norm(points[:, None] - everything[:i], axis=-1).min(axis=1)
+        assert np.linalg.norm(everything[:i] - everything[i], axis=1).min() == distance.max()
+
+
+def test_proposals_lie_where_the_seeds_disagree_and_do_not_clump(study, chain):
+    samples = grid_samples(study, chain, 2)
+    network = yaw_apart(0.0, 1.0)  # disagreement grows with x
+    positions = propose(study, chain, samples, network, 100)
+    assert in_box(positions)
+    assert reach(study, chain, positions).usable.all()
+    # Evenly spread points would be as many in either third.
+    assert np.sum(positions[:, 0] > 60) > 3 * np.sum(positions[:, 0] < 40)
+    best = region_points(study, chain, 4096)
+    best = best[np.argsort(-disagreement_mm(network, chain, best))[:100]]
+    assert pdist(positions).min() > 8 > 3 * pdist(best).min()
+    apart = np.linalg.norm(positions[:, None] - samples.positions_mm, axis=-1)
+    assert apart.min() > 5
+    np.testing.assert_array_equal(propose(study, chain, samples, network, 100), positions)
+    np.testing.assert_array_equal(propose(study, chain, samples, network, 7), positions[:7])
+
+
+def test_the_worst_strategy_proposes_the_worst_point_of_each_tile(study, chain, rng):
+    samples = grid_samples(study, chain, 2)
+    centre = reach(study, chain, [[50.0, 50.0, 30.0]]).joints[0]
+    maps = 0.05 * rng.standard_normal((1, 3, 3))
+    network = linear(*maps, offset=centre)  # hardly moves off the workspace's centre
+    positions = propose(study, chain, samples, network, 5, "worst")
+    assert positions.shape == (5, 3)
+    assert in_box(positions)
+    dense = BOX[0] + 60 * rng.random((30_000, 3))
+
+    def error_mm(points):
+        return np.linalg.norm(chain.forward_mm(network.predict(points)[0]) - points, axis=-1)
+
+    # Five positions are taken from 3 x 3 x 3 tiles of 20 mm; a point on a face is in several.
+    for position in positions:
+        tiles = [
+            low
+            for low in np.ndindex(3, 3, 3)
+            if np.all(np.abs(position - BOX[0] - 20 * (np.array(low) + 0.5)) <= 10 + 1e-9)
+        ]
+        worst = []
+        for low in tiles:
+            inside = np.all(np.floor((dense - BOX[0]) / 20) == low, axis=1)
+            worst.append(error_mm(dense[inside]).max())
+        assert error_mm(position[None])[0] > 0.98 * min(worst)
+    np.testing.assert_array_equal(propose(study, chain, samples, network, 5, "worst"), positions)
+
+
+def test_what_cannot_be_proposed_is_said(study, chain):
+    samples = grid_samples(study, chain, 2)
+    with pytest.raises(IksamplesError, match="at least 1"):
+        propose(study, chain, samples, yaw_apart(0, 1), 0)
+    with pytest.raises(IksamplesError, match="Only one finite network"):
+        propose(study, chain, samples, yaw_apart(0, np.nan), 3)
+    with pytest.raises(IksamplesError, match="diverged"):
+        propose(study, chain, samples, yaw_apart(np.nan, np.inf), 3)
+    with pytest.raises(IksamplesError, match="no strategy 'best'"):
+        propose(study, chain, samples, yaw_apart(0, 1), 3, "best")
+    with pytest.raises(IksamplesError, match="only 1 usable"):
+        spread(samples.positions_mm, np.ones(8), samples.positions_mm[:7], 2)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    return {
+        "name": "quick",
+        "network": {"activation": "tanh"},
+        "training": {"epochs": 20, "seeds": 4},
+    }
+
+
+@pytest.mark.slow
+def test_adaptive_sets_are_nested_and_do_not_depend_on_each_other(quick):
+    study = parse_study(quick)
+    chain = study_chain(study)
+    sets = adaptive_sets(study, chain, [3, 2])
+    assert list(sets) == [2, 3]
+    small, large = sets[2], sets[3]
+    assert (small.label, large.label) == ("adaptive8", "adaptive27")
+    assert (large.design, large.points_per_axis, large.n_samples) == ("adaptive", 3, 27)
+    assert np.isnan(large.spacing_mm)
+    np.testing.assert_array_equal(large.positions_mm[:8], small.positions_mm)
+    np.testing.assert_array_equal(small.positions_mm, grid_samples(study, chain, 2).positions_mm)
+    np.testing.assert_allclose(chain.forward_mm(large.joints), large.positions_mm, atol=1e-9)
+    assert len(np.unique(large.positions_mm, axis=0)) == 27
+    assert in_box(large.positions_mm)
+    assert pdist(large.positions_mm).min() > 8
+    region = region_points(study, chain, 2048)
+    assert fill_distance_mm(large.positions_mm, region) < 35
+    # Neither other sizes nor how a study trains for long, nor its seeds, move the points.
+    longer = parse_study({**quick, "training": {"epochs": 900, "seeds": 2, "first_seed": 5}})
+    assert adaptive_sets(longer, chain, [3])[3].digest() == large.digest()
+    other = parse_study({**quick, "samples": {"seed": 1}})
+    moved = adaptive_sets(other, chain, [3])[3].positions_mm
+    np.testing.assert_array_equal(moved[:8], small.positions_mm)
+    assert not np.array_equal(moved, large.positions_mm)
+
+
+@pytest.mark.slow
+def test_adaptive_samples_keep_off_what_the_arm_cannot_use(quick):
+    study = parse_study(
+        {**quick, "workspace": {"upper_mm": [120, 120, 90]}, "samples": {"unreachable": "mask"}}
+    )
+    chain = study_chain(study)
+    assert not reach(study, chain, [[120.0, 120.0, 90.0]]).usable[0]
+    [samples] = adaptive_sets(study, chain, [3]).values()
+    assert samples.n_samples == 27
+    assert samples.n_masked == 0
+    assert reach(study, chain, samples.positions_mm).usable.all()
+
+
+def test_adaptive_samples_cannot_be_recorded_in_one_step(study, chain):
+    with pytest.raises(IksamplesError, match=r"adaptive27.*trained on the way"):
+        record_samples(study, chain, "adaptive", 3)
+
+
+def test_next_poses_are_usable_and_the_same_with_the_trained_weights(quick, tmp_path):
+    study = parse_study(quick)
+    chain = study_chain(study)
+    samples = grid_samples(study, chain, 3)
+    table = next_poses(study, chain, samples, 6)
+    joints = [f"q_{name}_rad" for name in chain.joint_names]
+    assert list(table) == ["x_mm", "y_mm", "z_mm", *joints, "disagreement_mm", "error_mm"]
+    positions = table[["x_mm", "y_mm", "z_mm"]].to_numpy()
+    assert len(table) == 6
+    assert in_box(positions)
+    assert chain.within_limits(table[joints].to_numpy()).all()
+    np.testing.assert_allclose(chain.forward_mm(table[joints].to_numpy()), positions, atol=1e-9)
+    assert (table["disagreement_mm"] > 0).all()
+    sixteen = parse_study({**quick, "training": {"epochs": 20, "seeds": 16}})
+    train_seeds(sixteen, samples).save(tmp_path / "weights.safetensors")
+    again = next_poses(study, chain, samples, 6, weights=tmp_path / "weights.safetensors")
+    pd.testing.assert_frame_equal(again, table)
+    (tmp_path / "other.safetensors").write_text("no weights")
+    with pytest.raises(IksamplesError, match="not a file of trained networks"):
+        next_poses(study, chain, samples, 6, weights=tmp_path / "other.safetensors")
+
+
+def frame(chain, samples):
+    columns = dict(zip(("x_mm", "y_mm", "z_mm"), samples.positions_mm.T, strict=True))
+    columns |= {
+        f"q_{name}_rad": q for name, q in zip(chain.joint_names, samples.joints.T, strict=True)
+    }
+    return pd.DataFrame(columns)
+
+
+def test_samples_from_a_csv_are_those_written(study, chain, tmp_path, capsys):
+    samples = record_samples(study, chain, "sobol", 2)
+    table = frame(chain, samples).assign(note="from the arm")[::-1]
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    found = read_samples(study, chain, tmp_path / "arm.csv")
+    assert (found.label, found.n_samples) == ("measured8", 8)
+    np.testing.assert_array_equal(found.positions_mm, samples.positions_mm[::-1])
+    np.testing.assert_array_equal(found.joints, samples.joints[::-1])
+    inputs = found.normalise(found.positions_mm)
+    np.testing.assert_allclose((inputs.min(axis=0), inputs.max(axis=0)), ([0] * 3, [1] * 3))
+    assert capsys.readouterr().err == ""
+    samples.save(tmp_path / "own.parquet")
+    assert read_samples(study, chain, tmp_path / "own.parquet").digest() == samples.digest()
+
+
+def test_a_csv_of_a_real_arm_is_taken_with_a_word(study, chain, tmp_path, capsys):
+    samples = grid_samples(study, chain, 3)
+    table = frame(chain, samples)
+    table.loc[4, "x_mm"] += 3.0
+    # The other elbow at the same place.
+    shoulder, elbow = table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"]
+    table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"] = shoulder + elbow, -elbow
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    found = read_samples_csv(study, chain, tmp_path / "arm.csv")
+    assert found.n_samples == 27
+    said = capsys.readouterr().err
+    assert "1 of 27 samples are more than 1 mm" in said
+    assert "(sample 5: 3.0 mm)" in said
+    assert "another branch than the study's (sample 8)" in said
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda t: t.drop(columns=["y_mm"]), "no column y_mm; there are x_mm, z_mm"),
+        (lambda t: t.rename(columns={"q_yaw_rad": "q_yaw_deg"}), "no column q_yaw_rad"),
+        (lambda t: t[:1], "1 samples; at least 2"),
+        (lambda t: t.assign(z_mm=5.0), "z_mm is the same in every row"),
+        (lambda t: t.assign(x_mm=["1,5", *t["x_mm"][1:]]), "sample 1 has '1,5' as x_mm"),
+        (lambda t: t.assign(x_mm=[*t["x_mm"][:-1], np.nan]), "sample 8 has nothing as x_mm"),
+        (lambda t: t.assign(x_mm=[*t["x_mm"][:-1], np.inf]), "sample 8 has 'inf' as x_mm"),
+    ],
+)
+def test_a_faulty_csv_is_refused_with_the_reason(study, chain, tmp_path, spoil, message):
+    spoil(frame(chain, grid_samples(study, chain, 2))).to_csv(tmp_path / "arm.csv", index=False)
+    with pytest.raises(IksamplesError, match=message):
+        read_samples_csv(study, chain, tmp_path / "arm.csv")
+
+
+def test_files_that_are_no_samples_of_this_arm(study, chain, tmp_path):
+    with pytest.raises(IksamplesError, match="cannot read the samples"):
+        read_samples_csv(study, chain, tmp_path / "absent.csv")
+    (tmp_path / "empty.csv").write_text("")
+    with pytest.raises(IksamplesError, match="not a CSV file"):
+        read_samples_csv(study, chain, tmp_path / "empty.csv")
+    other = replace(grid_samples(study, chain, 2), joint_names=("a", "b", "c"))
+    other.save(tmp_path / "other.parquet")
+    with pytest.raises(IksamplesError, match="samples of the joints a, b, c"):
+        read_samples(study, chain, tmp_path / "other.parquet")
