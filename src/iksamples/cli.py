@@ -298,11 +298,13 @@ def report(
         str, typer.Option(help="What the report says to type to run the study.")
     ] = "snakemake --cores 2",
 ) -> None:
-    """Build the report: one page that opens offline, and a Markdown twin."""
+    """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
+    from iksamples.report.front import write_front_page
     from iksamples.report.write import write_report
     from iksamples.study import read_study
 
     write_report(read_study(study_file), results, output, command)
+    write_front_page(output.parent, results.parent)
 
 
 @app.command()

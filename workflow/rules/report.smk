@@ -5,6 +5,7 @@ REQUIRED INPUTS
     results/<study>/table.csv and everything in results/<study>/network/
 OUTPUTS
     reports/<study>/index.html, README.md and figures/
+    reports/index.html, which links the reports of all studies
 """
 
 
@@ -25,7 +26,7 @@ rule report:
     params:
         study="results/{study}/study.json",
         settings=STUDY.model_dump_json(),
-        code=source_digest("iksamples.report.write"),
+        code=source_digest("iksamples.report.write", "iksamples.report.front"),
         results="results/{study}",
         folder=subpath(output.html, parent=True),
         command=typed_command(),
