@@ -42,13 +42,16 @@ def covering_radius(
         IksamplesError: There are no samples, or the box is empty.
     """
     samples = _checked(samples_mm)
-    [found] = maximise(
-        _Distance(samples, lower_mm, upper_mm),
+    return cone_envelope(
+        samples,
+        np.zeros(len(samples)),
+        1.0,
+        lower_mm,
+        upper_mm,
         rtol=rtol,
         max_boxes=max_boxes,
         time_limit_s=time_limit_s,
     )
-    return found
 
 
 def cone_envelope(
@@ -146,49 +149,3 @@ class _Cones:
         away = np.sign(centre_mm - self.samples[near[rows, best]])
         corner = centre_mm + np.where(away == 0, 1.0, away) * radius_mm
         return bounds[rows, best] * (1.0 + _ROUNDING), corner[:, None], radius_mm
-
-
-class _Distance(_Cones):
-    """The distance to the nearest sample as an objective."""
-
-    def __init__(self, samples: Floats, lower_mm: ArrayLike, upper_mm: ArrayLike) -> None:
-        from scipy.spatial import Delaunay, QhullError
-
-        super().__init__(samples, np.zeros(len(samples)), 1.0, lower_mm, upper_mm)
-        self.simplices = None
-        if samples.shape[1] <= 4 and len(samples) > samples.shape[1] + 1:
-            try:
-                self.simplices = Delaunay(samples)
-            except QhullError:  # the samples lie in a plane; the cones alone do
-                self.simplices = None
-
-    def upper_bounds(
-        self, which: Ints, centre_mm: Floats, radius_mm: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """As for cones, or by a simplex of samples around the centre.
-
-        For weights w of sum 1 that are not negative, and v = sum w_i x_i, the smallest
-        ``|x - x_i|^2`` is at most ``sum w_i |x - x_i|^2 = |x - v|^2 + sum w_i |x_i - v|^2``. With
-        the weights of the simplex that holds the centre, v is the centre, and a box loses only the
-        square of its size where many samples are equally near. Any weights would do, so nothing
-        hangs on how exact the triangulation is.
-        """
-        bounds, corner, weight = super().upper_bounds(which, centre_mm, radius_mm)
-        if self.simplices is None:
-            return bounds, corner, weight
-        d = centre_mm.shape[1]
-        simplex = self.simplices.find_simplex(centre_mm)
-        inside = np.flatnonzero(simplex >= 0)
-        affine = self.simplices.transform[simplex[inside]]
-        part = np.einsum("bij,bj->bi", affine[:, :d], centre_mm[inside] - affine[:, d])
-        part = np.concatenate([part, 1.0 - part.sum(axis=1, keepdims=True)], axis=1)
-        # A flat simplex has no barycentric coordinates.
-        part = np.clip(np.nan_to_num(part, nan=1.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-        part /= part.sum(axis=1, keepdims=True)
-        vertices = self.samples[self.simplices.simplices[simplex[inside]]]
-        middle = np.einsum("bi,bij->bj", part, vertices)
-        square = np.einsum("bi,bij->b", part, (vertices - middle[:, None]) ** 2)
-        apart = np.abs(centre_mm[inside] - middle) + radius_mm[inside]
-        square += np.sum(apart**2, axis=1)
-        bounds[inside] = np.minimum(bounds[inside], np.sqrt(square) * (1.0 + _ROUNDING))
-        return bounds, corner, weight

@@ -289,7 +289,8 @@ def _cut(residual: Residual) -> _Cut:
     # Terms s_a, s_a^2 - 1/3 and s_a s_b: no mean, not correlated; largest value and mean square.
     terms = np.concatenate([residual.linear_mm, squares, mixed], axis=1)
     kinds = np.repeat([0, 1, 2], [d, d, mixed.shape[1]])
-    largest, square = np.array([1.0, 2.0 / 3.0, 1.0])[kinds], np.array([1 / 3, 4 / 45, 1 / 9])[kinds]
+    largest = np.array([1.0, 2.0 / 3.0, 1.0])[kinds]
+    square = np.array([1.0 / 3.0, 4.0 / 45.0, 1.0 / 9.0])[kinds]
     along = np.einsum("btk,bk->bt", terms, direction)
     across = np.linalg.norm(terms - along[:, :, None] * direction[:, None], axis=2)
     size = np.abs(residual.noise_mm)
