@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.errors import IksamplesError
 from iksamples.sizing.answer import Rung, Status
 from iksamples.sizing.beyond import Beyond, curves_to_extrapolate, is_random, look_beyond
 from iksamples.sizing.curves import Curve
@@ -100,9 +99,6 @@ def samples_needed(
     Returns:
         By line and tolerance: method, design, tolerance_mm, n_samples (NaN: no answer), status (as
         in ``answer.MethodAnswer``), certified.
-
-    Raises:
-        IksamplesError: No rung has trainings enough for any tolerance.
     """
     import pandas as pd
 
@@ -166,9 +162,6 @@ def _seeds_to_settle(study: Study, rung: Rung) -> int | None:
 
 
 def _spread(kept_mm: list[float]) -> Floats:
-    if not kept_mm:
-        raise IksamplesError(
-            "no number of samples has trainings enough for any tolerance; raise training.seeds or "
-            "lower tolerance.success_share."
-        )
+    if not kept_mm:  # too few trainings for any tolerance: the answer says how many it takes
+        return np.empty(0)
     return np.geomspace(min(kept_mm), max(kept_mm), _TOLERANCES)

@@ -12,8 +12,8 @@ with the Lipschitz constant over the cell. It is of first order in the spacing. 
 position of a cubic grid cell of edge d is sqrt(3) / 2 d from a sample, not d / 2.
 
 *Interpolation form.* On a grid let I g be the multilinear interpolation of g from the corners of
-each cell. It keeps affine maps, so ``h - id = I (h - id) + (h - I h)``, and at any x the first term is a
-weighted mean of the errors at the cell's corners. Hence
+each cell. It keeps affine maps, so ``h - id = I (h - id) + (h - I h)``, and at any x the first term
+is a weighted mean of the errors at the cell's corners. Hence
 
     e(x) <= max over the cell's corners of e + |h(x) - (I h)(x)|.
 
@@ -198,9 +198,10 @@ def interpolation_on_grid(
             first=grid.cells(),
         )
     bound, remainder = found
+    training = float(grid.corner_error_mm.max() + grid.slack_mm[0])
     return InterpolationBound(
-        bound.upper,
-        float(grid.corner_error_mm.max() + grid.slack_mm[0]),
+        min(bound.upper, training + remainder.upper),
+        training,
         remainder.upper,
         bound.complete and remainder.complete,
     )

@@ -121,25 +121,19 @@ class _Cones:
 
         self.lower_mm, self.upper_mm = check_box(lower_mm, upper_mm, samples.shape[1])
         self.samples, self.heights, self.slope = samples, heights, slope
+        self.level = bool(np.ptp(heights) == 0)
         self.tree = KDTree(samples)
         self.nearest = min(_NEAREST, len(samples))
 
     def values(self, which: Ints, points_mm: Floats) -> Floats:
         """Values at points, by all samples."""
-        values = np.empty(len(points_mm))
-        step = max(1, 4_000_000 // self.samples.size)
-        for first in range(0, len(points_mm), step):
-            some = points_mm[first : first + step]
-            distance = np.linalg.norm(some[:, None] - self.samples, axis=2)
-            values[first : first + step] = (self.heights + self.slope * distance).min(axis=1)
-        return values * (1.0 - _ROUNDING)
+        return self._lowest(points_mm)[0] * (1.0 - _ROUNDING)
 
     def upper_bounds(
         self, which: Ints, centre_mm: Floats, radius_mm: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Bounds over boxes: the lowest of some cones, each at its farthest corner."""
-        _, near = self.tree.query(centre_mm, self.nearest)
-        near = near.reshape(len(centre_mm), -1)
+        near = self._candidates(centre_mm)
         apart = np.abs(centre_mm[:, None] - self.samples[near])
         farthest = np.linalg.norm(apart + radius_mm[:, None], axis=2)
         bounds = self.heights[near] + self.slope * farthest
@@ -149,3 +143,23 @@ class _Cones:
         away = np.sign(centre_mm - self.samples[near[rows, best]])
         corner = centre_mm + np.where(away == 0, 1.0, away) * radius_mm
         return bounds[rows, best] * (1.0 + _ROUNDING), corner[:, None], radius_mm
+
+    def _candidates(self, centre_mm: Floats) -> Ints:
+        """Samples whose cones may be lowest near some positions, shape (positions, candidates)."""
+        _, near = self.tree.query(centre_mm, self.nearest)
+        near = near.reshape(len(centre_mm), -1)
+        if self.level:
+            return near
+        return np.concatenate([near, self._lowest(centre_mm)[1][:, None]], axis=1)
+
+    def _lowest(self, points_mm: Floats) -> tuple[Floats, Ints]:
+        """Height and sample of the lowest cone at some positions."""
+        values, sample = np.empty(len(points_mm)), np.empty(len(points_mm), int)
+        step = max(1, 4_000_000 // self.samples.size)
+        for first in range(0, len(points_mm), step):
+            some = slice(first, first + step)
+            distance = np.linalg.norm(points_mm[some, None] - self.samples, axis=2)
+            cones = self.heights + self.slope * distance
+            sample[some] = cones.argmin(axis=1)
+            values[some] = cones.min(axis=1)
+        return values, sample

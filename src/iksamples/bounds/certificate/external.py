@@ -1,6 +1,7 @@
 """Networks from elsewhere: our own files, plain PyTorch state dicts, and ONNX where installed."""
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -181,8 +182,8 @@ def _from_onnx(path: Path) -> StackedMLP:
         IksamplesError: The ``onnx`` package is missing, or the graph is of another shape.
     """
     try:
-        import onnx
-        from onnx import numpy_helper
+        onnx = import_module("onnx")  # not a dependency, so not a plain import
+        numpy_helper = import_module("onnx.numpy_helper")
     except ImportError:
         raise IksamplesError(
             f"{path}: reading ONNX needs the onnx package (pip install onnx)."

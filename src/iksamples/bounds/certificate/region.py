@@ -227,7 +227,7 @@ class _Cells:
             centre = self.errors.lower_mm + size * (low + 0.5 * edge)
             which = np.zeros(len(low), int)
             residual = self.errors.residual(which, centre, 0.5 * size * edge)
-            parts.append((*bound(residual), residual.weight_mm))
+            parts.append((*bound(residual), _weight(residual)))
         self.bounded += self.new
         low_bound, high_bound, weight = (
             np.concatenate(column) for column in zip(*parts, strict=True)
@@ -309,6 +309,16 @@ def _cut(residual: Residual) -> _Cut:
         noise + residual.remainder_mm.max(axis=1),
         mean_noise + residual.remainder_mm.mean(axis=1),
     )
+
+
+def _weight(residual: Residual) -> Floats:
+    """What is lost along each axis: by the enclosure, and by taking a norm of what is not constant.
+
+    The norm of something affine bends by about the square of its slope over its size.
+    """
+    slope = np.linalg.norm(residual.linear_mm, axis=2)
+    size = np.linalg.norm(residual.centre_mm, axis=1) + slope.sum(axis=1)
+    return residual.weight_mm + slope**2 / np.maximum(size, np.finfo(float).tiny)[:, None]
 
 
 def _mean_of_cells(residual: Residual) -> tuple[Floats, Floats]:

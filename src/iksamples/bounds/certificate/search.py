@@ -262,6 +262,7 @@ def maximise(
     while len(low):
         spent = time.perf_counter() - began > time_limit_s * n
         allowed = (boxes < max_boxes)[which] & (not spent) & (edge.max(axis=1) > _SMALLEST)
+        allowed |= np.isinf(hopes)  # a first bound of everything, whatever the limits
         if not allowed.all():
             _keep(kept, settled, keep_leaves, which, low, edge, hopes, ~allowed)
             which, low, edge, hopes = which[allowed], low[allowed], edge[allowed], hopes[allowed]

@@ -1,0 +1,115 @@
+"""The command line on files, as used by hand."""
+
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from iksamples.results import cells
+from iksamples.samples.record import grid_samples
+from iksamples.training.network import StackedMLP
+
+
+BOX = ("--box", "20", "20", "0", "80", "80", "60")
+ARM = ("--robot", "config/robots/rrr70.urdf")
+
+
+def run(*arguments):
+    return subprocess.run([*map(str, arguments)], capture_output=True, text=True)
+
+
+def test_every_command_has_help(command):
+    top = run(command, "--help")
+    assert top.returncode == 0
+    listed = [line.split()[1] for line in top.stdout.splitlines() if line.startswith("│ ")]
+    steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "table", "answer",
+             "recommend", "next", "track", "record", "report", "certify", "handbook"}  # fmt: skip
+    assert steps <= set(listed)
+
+
+def test_check_says_what_the_arm_can_reach(command):
+    done = run(command, "check", "config/config.yaml")
+    assert done.returncode == 0
+    assert "grid5: 125 samples" in done.stdout
+    assert "workspace: 8200 points: 8200 usable" in done.stdout
+
+
+def test_a_set_that_is_not_in_the_study_is_named(command, tmp_path):
+    done = run(command, "samples", "config/config.yaml", "--name", "grid9", "-o", tmp_path / "x")
+    assert done.returncode == 2
+    assert "no samples 'grid9'; there are grid2, grid3," in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_certify_a_plain_pytorch_network(command, tmp_path, chain, rng):
+    net = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.Tanh(), torch.nn.Linear(5, 3))
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(torch.tensor(rng.normal(size=parameter.shape)))
+    torch.save(net.state_dict(), tmp_path / "net.pt")
+    done = run(
+        command, "certify", "--weights", tmp_path / "net.pt", *ARM, *BOX, "--activation", "tanh",
+        "--offset-mm", 20, 20, 0, "--scale-mm", 60, 60, 60,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "(checked, " in done.stdout
+    upper = float(done.stdout.split("more than ")[1].split(" mm")[0])
+    points = np.array([20, 20, 0]) + 60 * rng.random((20_000, 3))
+    with torch.no_grad():
+        joints = net(torch.tensor((points - [20, 20, 0]) / 60).float()).numpy()
+    errors = np.linalg.norm(chain.forward_mm(joints) - points, axis=1)
+    assert 0.9 * upper < errors.max() < upper + 0.01
+
+
+def test_certify_says_what_is_missing(command, tmp_path):
+    done = run(command, "certify", "--weights", tmp_path / "no.pt", *ARM, *BOX)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "no such file" in done.stderr
+
+
+@pytest.mark.slow
+def test_next_poses_can_be_recorded(command, tmp_path, study, chain):
+    grid_samples(study, chain, 3).save(tmp_path / "had.parquet")
+    (tmp_path / "quick.yaml").write_text("name: quick\ntraining: {epochs: 50}\n")
+    done = run(
+        command, "next", tmp_path / "quick.yaml", "--samples", tmp_path / "had.parquet",
+        "-k", 4, "-o", tmp_path / "next.csv",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    poses = pd.read_csv(tmp_path / "next.csv")
+    assert len(poses) == 4
+    joints = poses[[f"q_{name}_rad" for name in chain.joint_names]].to_numpy()
+    assert chain.within_limits(joints, 1e-4).all()
+    reached = chain.forward_mm(joints)
+    np.testing.assert_allclose(reached, poses[["x_mm", "y_mm", "z_mm"]], atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_study_by_hand_without_snakemake(command, tmp_path):
+    """The steps in the README's order give a table."""
+    study = "tests/studies/tiny.yaml"
+    results = tmp_path / "tiny"
+    files = []
+    for name in ("grid2", "grid3"):
+        files.append(results / f"samples/{name}.parquet")
+        run(command, "samples", study, "--name", name, "-o", files[-1])
+    folder = results / "network"
+    for step in (
+        ("train", study, *files, "-o", results),
+        ("evaluate", study, *files, "--method", "network", "--folder", folder),
+        ("bounds", study, *files, "--folder", folder),
+        ("prove", study, *files, "--method", "network", "--folder", folder,
+         "-o", folder / "certificates.csv"),
+        ("table", study, "--results", results),
+        ("answer", study, "--results", results),
+    ):  # fmt: skip
+        done = run(command, *step)
+        assert done.returncode == 0, done.stderr
+    assert list(pd.read_csv(results / "table.csv")["n_samples"]) == [8, 27]
+    from iksamples.study import read_study
+
+    for cell in cells(read_study(study), results):
+        assert isinstance(cell.network, StackedMLP)
+    assert "samples" in run(command, "recommend", "--results", results).stdout
