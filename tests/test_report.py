@@ -17,6 +17,7 @@ from lxml import html
 from scipy import stats
 
 from iksamples.bounds.audit import audit
+from iksamples.bounds.certify_step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.report import provenance
@@ -108,7 +109,12 @@ def finished(settings: dict[str, Any], folder: Path, losses: bool = True) -> Stu
         }
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-    study_table(study, cells(study, folder)).to_csv(folder / "table.csv", index=False)
+    proofs = pd.concat(
+        certify(study, chain, "network", cell.samples, cell.folder) for cell in cells(study, folder)
+    )
+    proofs.to_csv(folder / "certificates.csv", index=False)
+    table = study_table(study, cells(study, folder), proofs)
+    table.to_csv(folder / "table.csv", index=False)
     (folder / "benchmarks" / "evaluate").mkdir(parents=True)
     for m, seconds, memory in ((2, 1.5, "NA"), (3, 2.25, 210.0)):
         record = {"s": seconds, "cpu_time": 1.0, "max_rss": memory}
@@ -242,7 +248,7 @@ def test_the_twin_has_the_same_bytes_when_built_again(
     write_report(study, "results/small", "reports/again")
     again = output.parent / "again"
     pictures = sorted(path.name for path in (output / "figures").iterdir())
-    assert len(pictures) == 7
+    assert len(pictures) == 8
     for name in ["README.md", *(f"figures/{picture}" for picture in pictures)]:
         assert (again / name).read_bytes() == (output / name).read_bytes(), name
     assert "another machine" in (again / "index.html").read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
+from iksamples.errors import IksamplesError
 from iksamples.samples.record import grid_samples
 from iksamples.study import parse_study
 from iksamples.training import run
@@ -202,3 +203,37 @@ def test_a_diverged_seed_is_a_row_that_says_so(tmp_path, chain):
     run.train(study, [samples], [tmp_path])
     assert pd.read_parquet(tmp_path / "members.parquet").diverged.all()
     assert len(pd.read_parquet(tmp_path / "history.parquet")) == 9
+
+
+@pytest.mark.parametrize(
+    ("network", "training", "engine"),
+    [
+        ({}, {}, "fused"),
+        ({}, {"engine": "reference"}, "reference"),
+        ({"activation": "tanh", "hidden": [128, 128]}, {}, "fused"),
+        ({"hidden": [512, 512]}, {}, "reference"),
+        ({"hidden": [512, 512]}, {"engine": "fused"}, "fused"),
+        ({}, {"accelerator": "gpu"}, "reference"),
+        ({}, {"optimizer": "levenberg-marquardt"}, "levenberg-marquardt"),
+    ],
+    ids=str,
+)
+def test_engine_that_a_study_gets(network, training, engine):
+    study = parse_study({"name": "x", "network": network, "training": training})
+    assert run.choose_engine(study) == engine
+
+
+def test_what_the_fused_engine_cannot_do_is_said():
+    settings = {"engine": "fused", "optimizer": "levenberg-marquardt"}
+    with pytest.raises(IksamplesError, match="engine: fused cannot do"):
+        run.choose_engine(make_study(**settings))
+
+
+def test_a_gpu_that_is_not_there_is_said(tmp_path, chain):
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    study = make_study(accelerator="gpu")
+    with pytest.raises(IksamplesError, match="no CUDA device"):
+        run.train(study, [grid_samples(study, chain, 2)], [tmp_path / "out"])
+    assert not (tmp_path / "out").exists()

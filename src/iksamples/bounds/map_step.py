@@ -154,7 +154,6 @@ def _unsafe(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.Data
     low, high = merge_boxes(coverage.bad_lower_mm, coverage.bad_upper_mm)
     volume = np.prod((high - low) / (upper - lower), axis=1)
     largest = np.argsort(-volume, kind="stable")[:MAX_BOXES]
-    print(len(coverage.bad_lower_mm), len(low), volume.sum(), volume[largest].sum())
     drawn = float(volume[largest].sum())
     corners = np.hstack([low, high])[largest] if len(largest) else np.full((1, 6), np.nan)
     table = pd.DataFrame(corners, columns=[*_LOWER, *_UPPER])

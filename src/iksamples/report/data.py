@@ -17,6 +17,8 @@ from iksamples.results import Cell, cells
 from iksamples.robot.chain import Floats, SerialChain
 from iksamples.robot.workspace import study_chain
 from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.sizing import answer as answers
+from iksamples.sizing.outcomes import all_cells, certificates
 from iksamples.study import NETWORK, Study
 
 
@@ -167,6 +169,48 @@ class ReportData:
         """The recordings, one per path."""
         return [self.results / "recordings" / f"{path}.rrd" for path in self.paths]
 
+    @cached_property
+    def answer(self) -> answers.Answer | None:
+        """How many samples the study's tolerance takes; None where that was not worked out."""
+        found = (self.results / answers.FILE).exists()
+        return answers.read_answer(self.results) if found else None
+
+    @cached_property
+    def samples_needed(self) -> pd.DataFrame | None:
+        """Samples needed against tolerance; None where that was not worked out."""
+        file = self.results / "samples-needed.csv"
+        return pd.read_csv(file) if file.exists() else None
+
+    @cached_property
+    def proofs(self) -> pd.DataFrame | None:
+        """The certificates, one row per network; None where there are none."""
+        table = certificates(self.results)
+        return None if table is None or table.empty else table
+
+    @cached_property
+    def every_error(self) -> pd.DataFrame:
+        """Errors of every method on every set of samples; diverged seeds are left out.
+
+        Columns method, design, label, points_per_axis, n_samples, seed, path_mm (mean along the
+        first path), mean_mm and worst_mm (over the workspace; the worst is the certified bound
+        where there is one) and certified.
+        """
+        sets: dict[str, SampleSet] = {}
+        frames = []
+        for cell in all_cells(self.study, self.results):
+            if (cell.folder / "errors.parquet").exists():
+                samples = sets.setdefault(cell.label, cell.samples)
+                frames.append(_errors_of(cell, samples, self.first_path))
+        table = pd.concat(frames, ignore_index=True)
+        table["certified"] = False
+        if self.proofs is None or "label" not in self.proofs:
+            return table
+        bound = self.proofs.set_index(["method", "label", "seed"])["sup_upper_mm"]
+        upper = bound.reindex(pd.MultiIndex.from_frame(table[list(bound.index.names)])).to_numpy()
+        table["certified"] = np.isfinite(upper)
+        table["worst_mm"] = np.where(np.isfinite(upper), upper, table["worst_mm"])
+        return table
+
     def source(self, table: str) -> str:
         """Name of the cells' files of one kind, for a caption."""
         return (self.results / NETWORK / "grid*" / f"{table}.parquet").as_posix()
@@ -245,6 +289,31 @@ def _number(record: Mapping[str, Any], key: str) -> float:
         return float(record[key])
     except (KeyError, TypeError, ValueError):
         return float("nan")
+
+
+def _errors_of(cell: Cell, samples: SampleSet, path: str) -> pd.DataFrame:
+    """One method on one set of samples, a row per seed that did not diverge."""
+    errors = cell.table("errors").fillna({"seed": 0}).set_index("seed")
+    cube = errors[errors["region"] == CUBE]
+    on_path = errors.loc[errors["region"] == path, "error_mean_mm"]
+    table = pd.DataFrame(
+        {
+            "method": cell.method,
+            "design": samples.design,
+            "label": cell.label,
+            "points_per_axis": samples.points_per_axis,
+            "n_samples": samples.n_samples,
+            "seed": cube.index.astype(int),
+            "path_mm": on_path.reindex(cube.index).to_numpy(float),
+            "mean_mm": cube["error_mean_mm"].to_numpy(float),
+            "worst_mm": cube["error_max_mm"].to_numpy(float),
+        }
+    )
+    table = table[np.isfinite(table["worst_mm"])]
+    if (cell.folder / "members.parquet").exists():
+        members = cell.table("members")
+        table = table[~table["seed"].isin(members.loc[members["diverged"].astype(bool), "seed"])]
+    return table
 
 
 def _read_grid(cell: Cell) -> Grid:

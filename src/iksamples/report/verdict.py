@@ -4,7 +4,7 @@ import numpy as np
 
 from iksamples.report.data import Grid, ReportData
 from iksamples.report.statistics import fall_interval
-from iksamples.report.wording import count, mm, path_name, percent, seeds_mean, span
+from iksamples.report.wording import count, mm, path_name, percent, seeds_mean, span, typeset
 from iksamples.study import DoubleRectangle, Network, Robot, Training, Workspace
 
 
@@ -13,8 +13,9 @@ _SATURATION_M = 5
 
 
 def verdict(data: ReportData) -> list[str]:
-    """Two sentences: the errors beside the paper's, and whether its two conclusions hold."""
-    return [errors_sentence(data), claims_sentence(data)]
+    """The answer, if there is one; the errors beside the paper's; whether its conclusions hold."""
+    answer = [typeset(data.answer.headline)] if data.answer else []
+    return [*answer, errors_sentence(data), claims_sentence(data)]
 
 
 def paper_recipe(data: ReportData) -> bool:
@@ -62,7 +63,7 @@ def claims_sentence(data: ReportData) -> str:
     estimate = _estimate_clause(data)
     if len(data.grids) < 2:
         return f"{estimate[0].upper()}{estimate[1:]}."
-    before, after = _levelling_pair(data.grids)
+    before, after = levelling_pair(data.grids)
     fall = fall_interval(before.seed_errors(data.first_path), after.seed_errors(data.first_path))
     change = f"{'falls' if fall.value >= 0 else 'rises'} by {percent(abs(fall.value))}"
     where = f"from {before.n} to {after.n} samples"
@@ -103,7 +104,7 @@ def _estimate_clause(data: ReportData) -> str:
     return "the paper’s estimate (Eq. 25) was exceeded at no point that was tested"
 
 
-def _levelling_pair(grids: list[Grid]) -> tuple[Grid, Grid]:
+def levelling_pair(grids: list[Grid]) -> tuple[Grid, Grid]:
     """The grid after which the paper sees no improvement (or the last but one), and the last."""
     at = next((grid for grid in grids[:-1] if grid.m == _SATURATION_M), grids[-2])
     return at, grids[-1]

@@ -107,3 +107,14 @@ def grid_name(m: int, n: int) -> str:
 def power_of(symbol: str, exponent: float) -> str:
     """A power with its exponent raised."""
     return f"{symbol}^{minus(f'{exponent:.2f}')}^"
+
+
+def typeset(text: str) -> str:
+    """Plain text of the answer, with the report's apostrophes, minus signs and raised exponents."""
+    raised = re.sub(r"\^(-?\w+)", r"^\1^", text.replace("'", "’"))
+    return re.sub(r"(?<=\s)-(?=\s)|(?<=\^)-(?=\w)", "−", _minus_signs(raised))
+
+
+def _minus_signs(text: str) -> str:
+    """Negative numbers with minus signs; hyphens between words and digits stay."""
+    return re.sub(r"(?<![\w-])-(?=\d)", "−", text)

@@ -11,7 +11,16 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from iksamples.report import sections_cost, sections_paper, sections_results, style
+from iksamples.report import (
+    sections_answer,
+    sections_certified,
+    sections_claims,
+    sections_cost,
+    sections_methods,
+    sections_paper,
+    sections_results,
+    style,
+)
 from iksamples.report.blocks import Figure, Number, Section, Viewer
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
@@ -20,8 +29,13 @@ from iksamples.study import Study
 
 
 SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
+    sections_answer.how_many_samples,
+    sections_methods.methods_and_designs,
+    sections_methods.readings,
     sections_results.table_one,
     sections_results.error_against_samples,
+    sections_certified.certified_worst_case,
+    sections_claims.claims,
     sections_results.training_progress,
     sections_results.arm_with_heart,
     sections_results.path_views,
