@@ -3,6 +3,7 @@
 import statistics
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
+from iksamples.bounds.certify_step import certify
+from iksamples.bounds.map_step import MAX_BOXES, map_cell
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import track_paths
 from iksamples.evaluation.paths import waypoints_mm
@@ -295,3 +298,59 @@ def test_blues_darken() -> None:
     assert brightness == sorted(brightness, reverse=True)
     assert all(blue > max(red, green) for red, green, blue in shades)
     assert len(blues(1)) == 1
+
+
+@pytest.fixture
+def proved(small: Study, results: list[Cell], chain: SerialChain) -> Cell:
+    """The largest grid with what is proved of the networks its pictures show."""
+    cell = results[-1]
+    waypoints = cell.table("waypoints")
+    errors = waypoints.groupby(["path", "seed"], as_index=False)["error_mm"].mean()
+    errors.rename(columns={"path": "region", "error_mm": "error_mean_mm"}).to_parquet(
+        cell.folder / "errors.parquet"
+    )
+    members = pd.DataFrame({"seed": SEEDS, "diverged": False})
+    members.to_parquet(cell.folder / "members.parquet")
+    for name, table in map_cell(small, chain, cell).items():
+        table.to_parquet(cell.folder / f"{name}.parquet")
+    proofs = certify(small, chain, cell.method, cell.samples, cell.folder)
+    proofs.to_csv(cell.folder.parent / "certificates.csv", index=False)
+    return cell
+
+
+def test_what_is_proved_of_the_shown_network_is_recorded(
+    small: Study, proved: Cell, chain: SerialChain, heart: Path
+) -> None:
+    network = shown_network(proved, waypoints_mm(small.evaluation.paths["heart"]), chain)
+
+    def error_mm(points: np.ndarray, network: StackedMLP = network) -> np.ndarray:
+        return np.linalg.norm(chain.forward_mm(network.predict(points)[0]) - points, axis=-1)
+
+    boxes = "/proof/above_tolerance"
+    [middles] = read(heart, boxes, "Boxes3D:centers", None).values()
+    [halves] = read(heart, boxes, "Boxes3D:half_sizes", None).values()
+    assert 0 < len(middles) <= MAX_BOXES
+    signs = np.array(list(product((-1, 0, 1), repeat=3)))
+    points = 1000 * (np.array(middles)[:, None] + signs * np.array(halves)[:, None])
+    # The file holds single precision in metres.
+    assert error_mm(points.reshape(-1, 3)).min() > small.tolerance.error_mm - 1e-3
+
+    [[worst]] = read(heart, "/proof/worst_point", "Points3D:positions", None).values()
+    curve = read(heart, "/error/epoch/worst_case", "Scalars:scalars", "epoch")
+    assert list(curve) == EPOCHS.tolist()
+    bound_mm = curve[EPOCHS[-1]][0]
+    spread = np.random.default_rng(0).uniform(
+        small.workspace.lower_mm, small.workspace.upper_mm, (20_000, 3)
+    )
+    assert error_mm(spread).max() <= bound_mm
+    assert error_mm(1000 * np.array([worst]))[0] == pytest.approx(bound_mm, rel=0.03)
+    [[text]] = read(heart, "/about", "TextDocument:text", None).values()
+    for said in ("Proved for", "orange", "worst point"):
+        assert said in text
+    assert heart.stat().st_size < 5_000_000
+
+
+def test_no_proof_is_shown_where_none_is(heart: Path) -> None:
+    assert not read(heart, "/error/epoch/worst_case", "Scalars:scalars", "epoch")
+    [[text]] = read(heart, "/about", "TextDocument:text", None).values()
+    assert "Proved" not in text

@@ -236,19 +236,19 @@ class TestWords:
             "For every point of the workspace within 2 mm, with 95 % confidence that at least 80 % "
             "of trainings succeed: 64 samples and tanh (16 tanh neurons, 32\u202f000 steps of Adam;"
             " certified: 1.60 mm); the paper's training needs more than 125; a look-up table of "
-            "the same samples needs 125 (measured at 8\u202f192 points, not certified: 1.41 mm)."
+            "the same samples needs 125 (measured at 8\u202f200 points, not certified: 1.41 mm)."
         )
 
     def test_nothing_certified(self):
         one = answer(make_study(), make_rows({2: met(0), 3: met(20)}), [])
         assert one.headline == (
-            "For all 8\u202f192 points measured in the workspace within 2 mm, with 95 % confidence "
+            "For all 8\u202f200 points measured in the workspace within 2 mm, with 95 % confidence "
             "that at least 80 % of trainings succeed: 27 samples and the paper's training "
-            "(measured at 8\u202f192 points, not certified: 1.00 mm)."
+            "(measured at 8\u202f200 points, not certified: 1.00 mm)."
         )
         assert one.method("network").sentences == [
             "With 27 samples 20 of 20 trainings succeed; with 95 % confidence at least 86 % of all "
-            "trainings do. As sure as wished, it keeps to 1.00 mm (measured at 8\u202f192 points, "
+            "trainings do. As sure as wished, it keeps to 1.00 mm (measured at 8\u202f200 points, "
             "not certified).",
             "One rung below it fails: with 8 samples 0 of 20 trainings succeed, where 80 % are "
             "wished. As sure as wished, it keeps to 3.00 mm, 1.00 mm too much.",
@@ -276,7 +276,7 @@ class TestWords:
             ),
             (
                 {"best_of": 5, "success_share": 0.999, "confidence": 0.9},
-                "For all 8\u202f192 points measured in the workspace within 2 mm, with 90 % "
+                "For all 8\u202f200 points measured in the workspace within 2 mm, with 90 % "
                 "confidence that the best of 5 trainings succeeds at least 99.9 % of the time: ",
             ),
         ],

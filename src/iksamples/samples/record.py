@@ -21,6 +21,9 @@ _FRESH_STREAM = {"validation": 1, "test": 2}
 _DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
 _MAX_DRAWS = 1000
 _REGION_POINTS = 4096
+N_CORNERS = 2 ** len(AXES)
+"""Corners of the workspace, which ``region_points`` adds to its Sobol points."""
+
 _LATTICE = 13
 
 

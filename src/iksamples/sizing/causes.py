@@ -139,11 +139,11 @@ def _better_networks(
         if pairs.empty or not pairs["ratio_high"].iloc[0] < 1:
             continue
         row = pairs.iloc[0]
-        change = "The same network" if same_network else "Another network, trained alike,"
+        change = "The same network trained otherwise" if same_network else "Another network"
         found.append(
             Cause(
                 kind="training" if same_network else "capacity",
-                text=f"{change} ({described(study, other_line.method)}) has "
+                text=f"{change}, {described(study, other_line.method)}, has "
                 f"{percent(row['ratio'])} of its error on the same "
                 f"{several(n_samples, 'sample')} (95 % interval {percent(row['ratio_low'])} to "
                 f"{percent(row['ratio_high'])}, median over {int(row['n_pairs'])} paired seeds).",

@@ -2,6 +2,7 @@
 
 import math
 
+from iksamples.samples.record import N_CORNERS
 from iksamples.sizing.answer import Rung
 from iksamples.sizing.beyond import Beyond, is_random
 from iksamples.sizing.curves import NEVER
@@ -52,7 +53,7 @@ def points_measured(study: Study) -> int:
     """Points at which the error that the tolerance is about is measured."""
     where = study.tolerance.where
     if where == "workspace":
-        return study.evaluation.cube_points
+        return study.evaluation.cube_points + N_CORNERS
     return study.evaluation.paths[where].waypoints
 
 
