@@ -5,11 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from iksamples.robot.chain import SerialChain
 from iksamples.robot.workspace import study_chain
 from iksamples.study import Study, parse_study
 
+
+# A slow machine is no failure, and the same examples are tried everywhere.
+settings.register_profile("iksamples", deadline=None, derandomize=True)
+settings.load_profile("iksamples")
 
 ROOT = Path(__file__).parents[1]
 

@@ -2,7 +2,7 @@
 
 Lightning costs a fraction of a millisecond per training step and a few per epoch, which is more
 than these networks need. So one Lightning epoch is one training step, and that step is a block of
-some fifty epochs; the engine makes the mini-batches inside the block.
+many epochs; the engine makes the mini-batches inside the block.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,8 @@ from torch.utils.data import DataLoader, Sampler
 from iksamples.training.problem import Problem
 
 
-EPOCHS_PER_BLOCK = 50
+FEWEST_BLOCKS = 4
+"""Blocks that even the shortest training is cut into, for Lightning to have something to follow."""
 
 Block = tuple[int, int]
 """First epoch (counted from 1) and number of epochs."""
@@ -27,7 +28,7 @@ class EpochBlocks(pl.LightningDataModule):
         blocks: All blocks in order; Lightning's epoch k trains ``blocks[k]``.
     """
 
-    def __init__(self, problem: Problem, epochs_per_block: int = EPOCHS_PER_BLOCK) -> None:
+    def __init__(self, problem: Problem, epochs_per_block: int) -> None:
         """Cuts the problem's epochs into blocks."""
         super().__init__()
         self.problem = problem
@@ -40,6 +41,18 @@ class EpochBlocks(pl.LightningDataModule):
     def train_dataloader(self) -> DataLoader[Block]:
         """One block per Lightning epoch."""
         return DataLoader(self.blocks, batch_size=None, sampler=_OneBlock())  # type: ignore[arg-type]
+
+
+def block_length(problem: Problem, pace: float) -> int:
+    """Epochs that take about a second, or a quarter of the training if that is less.
+
+    Args:
+        problem: What is trained.
+        pace: Parameters that the engine updates in a second, roughly.
+    """
+    updates = problem.n_seeds * problem.n_parameters * problem.steps_per_epoch
+    quarter = -(-problem.training.epochs // FEWEST_BLOCKS)
+    return max(1, min(quarter, int(pace / updates)))
 
 
 class _OneBlock(Sampler[int]):

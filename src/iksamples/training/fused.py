@@ -32,6 +32,7 @@ class FusedEngine:
     """Trains blocks of epochs of ReLU or tanh networks with Adam on the CPU."""
 
     dtype = torch.float32
+    pace = 5e8
 
     def __init__(self, problem: Problem) -> None:
         """Takes the problem whose seeds it trains."""
@@ -102,8 +103,13 @@ class FusedEngine:
             )
 
         train = compiled(*arguments(0))
-        with ThreadPoolExecutor(min(n_groups, torch.get_num_threads())) as pool:
-            list(pool.map(lambda group: train(*arguments(group)), range(n_groups)))
+        threads = min(n_groups, torch.get_num_threads())
+        if threads == 1:
+            for group in range(n_groups):
+                train(*arguments(group))
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(lambda group: train(*arguments(group)), range(n_groups)))
 
         for tensor, packed in zip(stacked, (w, m, v, kept), strict=True):
             tensor.copy_(torch.from_numpy(self._unpack(packed)))

@@ -40,6 +40,7 @@ class LevenbergEngine:
     """Trains blocks of iterations."""
 
     dtype = torch.float64
+    pace = 3e4
 
     def __init__(self, problem: Problem) -> None:
         """Takes the problem whose seeds it trains."""

@@ -11,8 +11,9 @@ import torch
 from pytorch_lightning.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 
+from iksamples.errors import IksamplesError
 from iksamples.training import record
-from iksamples.training.data import EPOCHS_PER_BLOCK, Block, EpochBlocks
+from iksamples.training.data import Block, EpochBlocks, block_length
 from iksamples.training.initial import initial_weights
 from iksamples.training.problem import Problem
 from iksamples.training.progress import Progress
@@ -20,9 +21,15 @@ from iksamples.training.reference import ReferenceEngine, StackedAdam, forward, 
 
 
 class Engine(Protocol):
-    """A training loop, and the precision in which it keeps the parameters."""
+    """A training loop.
+
+    Attributes:
+        dtype: Precision in which it keeps the parameters.
+        pace: Parameters that it updates in a second, roughly: how long a block should be.
+    """
 
     dtype: torch.dtype
+    pace: float
 
     def run(
         self, flat: Tensor, adam: StackedAdam, progress: Progress, first: int, n_epochs: int
@@ -130,11 +137,24 @@ def make_engine(name: str, problem: Problem) -> Engine:
     return ReferenceEngine(problem)
 
 
+def accelerator(asked: str) -> str:
+    """The device that is meant by the study's ``accelerator``: "cpu" or "gpu" (CUDA).
+
+    Raises:
+        IksamplesError: A GPU is asked for and torch finds none.
+    """
+    if asked == "gpu" and not torch.cuda.is_available():
+        raise IksamplesError(
+            "training.accelerator: gpu, but torch finds no CUDA device here; use cpu or auto."
+        )
+    return "gpu" if asked != "cpu" and torch.cuda.is_available() else "cpu"
+
+
 def fit(
     problem: Problem,
     engine: Engine | None = None,
     callbacks: Sequence[pl.Callback] = (),
-    epochs_per_block: int = EPOCHS_PER_BLOCK,
+    epochs_per_block: int | None = None,
     resume_from: str | None = None,
     **trainer_options: Any,
 ) -> record.Record:
@@ -144,18 +164,20 @@ def fit(
         problem: What is trained.
         engine: The training loop; the reference engine if None.
         callbacks: Further Lightning callbacks (checkpoints, progress, ...).
-        epochs_per_block: Epochs per training step of Lightning; the result does not depend on it.
+        epochs_per_block: Epochs per training step of Lightning, on which the result does not
+            depend; None: about a second's worth.
         resume_from: A Lightning checkpoint of the same problem, from the end of a block.
         **trainer_options: Passed to ``Trainer`` (logger, enable_checkpointing, ...).
 
     Returns:
         The trained seeds.
     """
-    module = StackedTraining(problem, engine or ReferenceEngine(problem))
-    data = EpochBlocks(problem, epochs_per_block)
+    engine = engine or ReferenceEngine(problem)
+    module = StackedTraining(problem, engine)
+    data = EpochBlocks(problem, epochs_per_block or block_length(problem, engine.pace))
     logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
-    options = {
-        "accelerator": problem.training.accelerator,
+    options: dict[str, Any] = {
+        "accelerator": accelerator(problem.training.accelerator),
         "devices": 1,
         "logger": False,
         "enable_checkpointing": False,

@@ -128,6 +128,7 @@ class ReferenceEngine:
     """Trains blocks of epochs by automatic differentiation."""
 
     dtype = torch.float32
+    pace = 1e7
 
     def __init__(self, problem: Problem) -> None:
         """Takes the problem whose seeds it trains."""

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from iksamples.training.files import write_files
 from iksamples.training.problem import pose_problem
 from iksamples.training.record import Record
 
+
+LARGE_NETWORK = 100_000
+"""Weights from which on 16 networks no longer fit in a core's cache and matrix products win."""
 
 SEEDS_AT_ONCE = 1024
 """Seeds stacked in one fit; a longer list is trained in parts, each kept as soon as it is done."""
@@ -101,13 +105,17 @@ def choose_engine(study: Study) -> str:
         )
     if study.training.optimizer == "levenberg-marquardt":
         return "levenberg-marquardt"
-    return "reference" if reason or asked == "reference" else "fused"
+    widths = (3, *study.network.hidden, 3)
+    large = sum(a * b for a, b in pairwise(widths)) > LARGE_NETWORK
+    if reason or asked == "reference" or (large and asked == "auto"):
+        return "reference"
+    return "fused"
 
 
 def _has_gpu() -> bool:
     import torch
 
-    return torch.accelerator.is_available()
+    return torch.cuda.is_available()
 
 
 def _fit(study: Study, samples: SampleSet, seeds: Sequence[int], engine: str, bar: Any) -> Record:

@@ -206,7 +206,7 @@ def certify_stack(
     )
     return [
         Certificate(
-            max(item.lower - objective.slack_mm[row], 0.0),
+            max(item.lower - float(objective.slack_mm[row]), 0.0),
             item.upper,
             item.argmax_mm,
             item.boxes,
