@@ -2,6 +2,7 @@
 
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -58,12 +59,16 @@ def cell(small: Study, chain: SerialChain, tmp_path: Path) -> Cell:
     w0, b0, w1, b1 = (np.array(part, np.float32) for part in parts)
     network = StackedMLP((w0, w1), (b0, b1), "relu", samples.offset_mm, samples.scale_mm, SEEDS)
     network.save(cell.folder / "weights.safetensors")
-    shares = np.array([0.0, 0.5, 0.9, 1.0], np.float32)
-    tensors = {"epochs": EPOCHS, "offset_mm": samples.offset_mm, "scale_mm": samples.scale_mm}
-    for i, (weight, bias) in enumerate(((w0, b0), (w1, b1))):
-        share = shares if i else np.ones_like(shares)
-        tensors[f"layers.{i}.weight"] = share[:, None, None, None] * weight
-        tensors[f"layers.{i}.bias"] = share[:, None, None] * bias
+    shares = np.array([0.0, 0.5, 0.9, 1.0])
+    tensors: dict[str, Any] = {
+        "epochs": EPOCHS,
+        "offset_mm": samples.offset_mm,
+        "scale_mm": samples.scale_mm,
+    }
+    for i, (weight, shift) in enumerate(((w0, b0), (w1, b1))):
+        share = shares if i else np.ones(4)
+        tensors[f"layers.{i}.weight"] = (share[:, None, None, None] * weight).astype("float32")
+        tensors[f"layers.{i}.bias"] = (share[:, None, None] * shift).astype("float32")
     header = {"activation": "relu", "seeds": list(SEEDS)}
     write_tensors(cell.folder / "snapshots.safetensors", tensors, header)
     waypoints, cube = track_paths(small, chain, network), cube_errors(small, chain, network)

@@ -19,9 +19,9 @@ from iksamples.bounds.map_step import MAX_BOXES, map_cell
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import track_paths
 from iksamples.evaluation.paths import waypoints_mm
+from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.recording.colours import blues
 from iksamples.recording.record import path_breaks, record_path
-from iksamples.recording.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.results import Cell, cells
 from iksamples.robot.chain import SerialChain
 from iksamples.samples.record import grid_samples

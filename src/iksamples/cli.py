@@ -182,6 +182,19 @@ def prove(
         pd.concat(rows).to_csv(file, index=False)
 
 
+@app.command("map")
+def map_(study_file: StudyFile, results: Results) -> None:
+    """Prove where the shown networks miss the tolerance, and their worst case along training."""
+    from iksamples.bounds.map_step import map_cell
+    from iksamples.results import cells
+
+    study, chain = _open(study_file)
+    for cell in cells(study, results):
+        for name, rows in map_cell(study, chain, cell).items():
+            with _whole(cell.folder / f"{name}.parquet") as file:
+                rows.to_parquet(file)
+
+
 @app.command()
 def certify(
     weights: Annotated[

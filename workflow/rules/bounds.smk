@@ -56,3 +56,34 @@ rule prove:
     shell:
         "iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}"
         " --folder {params.folder:q} --output {output:q} 2> {log:q}"
+
+
+rule map:
+    """Where the shown networks miss the tolerance, and their worst case along the training."""
+    input:
+        urdf=STUDY.robot.urdf,
+        snapshots=expand(
+            "results/{{study}}/network/{samples}/snapshots.safetensors",
+            samples=FIRST_LABELS,
+        ),
+        waypoints=expand(
+            "results/{{study}}/network/{samples}/waypoints.parquet",
+            samples=FIRST_LABELS,
+        ),
+    output:
+        expand(
+            "results/{{study}}/network/{samples}/{table}.parquet",
+            samples=FIRST_LABELS,
+            table=["training_bound", "unsafe"],
+        ),
+    log:
+        "results/{study}/logs/map.log",
+    benchmark:
+        "results/{study}/benchmarks/map.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings("robot", "workspace", "evaluation", "tolerance"),
+        code=source_digest("iksamples.bounds.map_step"),
+        results="results/{study}",
+    shell:
+        "iksamples map {params.study:q} --results {params.results:q} 2> {log:q}"

@@ -89,6 +89,7 @@ except IksamplesError as error:
     stop(error)
 
 LABELS = list(sample_sets(STUDY))
+FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))
 KINDS = {name: method.kind for name, method in STUDY.all_methods.items()}
 
 

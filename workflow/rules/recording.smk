@@ -15,6 +15,12 @@ rule record:
         waypoints=expand(
             "results/{{study}}/network/{samples}/waypoints.parquet", samples=LABELS
         ),
+        maps=expand(
+            "results/{{study}}/network/{samples}/{table}.parquet",
+            samples=FIRST_LABELS,
+            table=["training_bound", "unsafe"],
+        ),
+        certificates="results/{study}/network/certificates.csv",
     output:
         "results/{study}/recordings/{path}.rrd",
     log:

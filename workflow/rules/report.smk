@@ -15,6 +15,11 @@ rule report:
         urdf=STUDY.robot.urdf,
         table="results/{study}/table.csv",
         answer="results/{study}/answer.json",
+        maps=expand(
+            "results/{{study}}/network/{samples}/{table}.parquet",
+            samples=FIRST_LABELS,
+            table=["training_bound", "unsafe"],
+        ),
     output:
         html=report("reports/{study}/index.html", category="Report"),
         markdown="reports/{study}/README.md",

@@ -8,6 +8,7 @@ Colour = tuple[int, int, int]
 RED: Colour = (214, 39, 40)
 BLACK: Colour = (0, 0, 0)
 GREY: Colour = (150, 150, 150)
+ORANGE: Colour = (214, 110, 10)
 _LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 
 

@@ -7,6 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from iksamples import __version__
+from iksamples.recording.proofs import ENTITY, Proof, proof_text, proof_view
 from iksamples.recording.shown import ShownGrid
 from iksamples.robot.chain import MM_PER_M, Floats, SerialChain
 from iksamples.study import Study
@@ -31,6 +32,7 @@ def layout(
     chain: SerialChain,
     shown: Sequence[ShownGrid],
     timeline: str = WAYPOINT,
+    proof: Proof | None = None,
 ) -> rrb.Blueprint:
     """The layout a recording opens with, playing.
 
@@ -40,6 +42,7 @@ def layout(
         chain: The study's arm.
         shown: The grids, by size; the arm follows the last.
         timeline: The timeline that plays.
+        proof: What is proved of the network that moves the arm, if anything.
     """
     arm = shown[-1]
     lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
@@ -49,7 +52,14 @@ def layout(
     scene_frame = rrb.SpatialInformation(target_frame="tf#/")
     everything = rrb.Spatial3DView(
         origin="/",
-        contents=["+ /**", "- /samples/**", f"+ /samples/{arm.label}", "- /error/**", "- /about"],
+        contents=[
+            "+ /**",
+            "- /samples/**",
+            f"+ /samples/{arm.label}",
+            "- /error/**",
+            f"- /{ENTITY}/**",
+            "- /about",
+        ],
         name=f"Arm and all networks: {path_name}",
         background=WHITE,
         # The viewer draws a URDF's boxes and cylinders as glass unless told otherwise.
@@ -77,11 +87,16 @@ def layout(
         )
         for grid in shown
     ]
+    tabs: list[rrb.View | rrb.Container] = [
+        everything,
+        rrb.Grid(*one_by_one, name="Each network by itself"),
+    ]
+    if proof is not None:
+        eye = _eye(box, (lower + upper) / 2)
+        tabs.append(proof_view(proof, arm.label, WHITE, scene_frame, eye))
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(
-                everything, rrb.Grid(*one_by_one, name="Each network by itself"), active_tab=0
-            ),
+            rrb.Tabs(*tabs, active_tab=0),
             rrb.Vertical(
                 rrb.TimeSeriesView(
                     origin="/error",
@@ -102,7 +117,11 @@ def layout(
 
 
 def about(
-    study: Study, path_name: str, shown: Sequence[ShownGrid], left_out: Sequence[ShownGrid] = ()
+    study: Study,
+    path_name: str,
+    shown: Sequence[ShownGrid],
+    left_out: Sequence[ShownGrid] = (),
+    proof: Proof | None = None,
 ) -> str:
     """The text panel (Markdown).
 
@@ -111,6 +130,7 @@ def about(
         path_name: The path that is shown.
         shown: The grids, by size; the arm follows the last.
         left_out: Grids that cannot be drawn since their median seed diverged.
+        proof: What is proved of the network that moves the arm, if anything.
     """
     arm = shown[-1]
     rows = "\n".join(
@@ -122,6 +142,7 @@ def about(
         f"Not shown, since its median seed diverged: {grid.n_samples} samples.\n"
         for grid in left_out
     )
+    proved = f"\n{proof_text(proof, arm.n_samples)}\n" if proof else ""
     return f"""\
 # {path_name}, study {study.name}
 
@@ -143,7 +164,7 @@ Two timelines, to choose from at the lower left:
 {diverged}
 Of the {arm.n_seeds} seeds trained on each set of samples the one with the median error on this path
 is shown. The second tab above the scene has every network by itself with its own training points.
-
+{proved}
 Lengths in the scene are in metres. Joint values outside the joint limits are drawn as they are.
 Study {study.digest()}, iksamples {__version__}, Rerun {rr.__version__}.
 """

@@ -16,6 +16,7 @@ from rerun.urdf import UrdfTree
 from iksamples.errors import IksamplesError
 from iksamples.recording.colours import BLACK, GREY, RED, Colour, blues
 from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
+from iksamples.recording.proofs import Proof, log_proof, read_proof
 from iksamples.recording.shown import ShownGrid, read_grid
 from iksamples.results import Cell
 from iksamples.robot.chain import MM_PER_M, Floats, SerialChain
@@ -32,7 +33,8 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
 
     Of each grid the network of the median seed is shown; a grid whose median seed diverged is left
     out, and the recording says so. The arm follows the network of the largest grid shown, also
-    where its joint values leave the joint limits. A path of more than 600 waypoints is thinned.
+    where its joint values leave the joint limits; what is proved of that network is shown where the
+    results hold it. A path of more than 600 waypoints is thinned.
 
     Args:
         study: The study.
@@ -44,7 +46,8 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
         IksamplesError: No grid can be shown, or the path was not evaluated.
     """
     chain = study_chain(study)
-    read = [read_grid(chain, path_name, cell) for cell in cells]
+    by_label = {cell.label: cell for cell in cells}
+    read = [read_grid(chain, path_name, cell) for cell in by_label.values()]
     shown = [grid for grid in read if grid.finite]
     if not shown:
         raise IksamplesError(
@@ -52,7 +55,8 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
             "to draw. Lower training.learning_rate."
         )
     left_out = [grid for grid in read if not grid.finite]
-    _write(study, path_name, chain, shown, left_out, Path(output))
+    proof = read_proof(by_label[shown[-1].label], shown[-1].seed)
+    _write(study, path_name, chain, shown, left_out, proof, Path(output))
 
 
 def path_breaks(target_mm: Floats) -> list[int]:
@@ -78,6 +82,7 @@ def _write(
     chain: SerialChain,
     shown: Sequence[ShownGrid],
     left_out: Sequence[ShownGrid],
+    proof: Proof | None,
     file: Path,
 ) -> None:
     """Logs the whole scene to a file."""
@@ -87,9 +92,10 @@ def _write(
     )
     # Two recordings of the same results are to hold the same, whatever the clock says.
     rr.set_log_time_enabled(False, recording=recording)
-    recording.save(file, default_blueprint=layout(study, path_name, chain, shown))
+    blueprint = layout(study, path_name, chain, shown, proof=proof)
+    recording.save(file, default_blueprint=blueprint)
     recording.send_recording_name(f"{study.name}: {path_name}")
-    text = about(study, path_name, shown, left_out)
+    text = about(study, path_name, shown, left_out, proof)
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     waypoints = np.arange(0, len(arm.target_mm), -(-len(arm.target_mm) // MAX_WAYPOINTS))
@@ -97,6 +103,8 @@ def _write(
     _log_arm(recording, study, chain, arm, waypoints)
     for grid, colour in zip(shown, blues(len(shown)), strict=True):
         _log_grid(recording, grid, colour, waypoints)
+    if proof is not None:
+        log_proof(recording, proof, arm.n_samples, EPOCH, f"error/{EPOCH}")
     recording.flush()
     recording.disconnect()
 
