@@ -127,4 +127,12 @@ def _save_table(path: Path, columns: dict[str, np.ndarray]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    parquet.write_table(pa.table(columns), path)
+    def column(values: np.ndarray) -> pa.Array:
+        # Handing over an array would make pyarrow import pandas, for a second in all.
+        if values.dtype == bool:
+            return pa.array(values.tolist())
+        buffer = pa.py_buffer(np.ascontiguousarray(values))
+        return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, buffer])
+
+    table = pa.table({name: column(values) for name, values in columns.items()})
+    parquet.write_table(table, path)
