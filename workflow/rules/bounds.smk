@@ -31,7 +31,7 @@ rule bounds:
         code=source_digest("iksamples.bounds.audit"),
         folder="results/{study}/network",
     shell:
-        "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> {log:q}"
+        "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> >(tee {log:q} >&2)"
 
 
 rule prove:
@@ -55,7 +55,7 @@ rule prove:
         folder="results/{study}/{method}",
     shell:
         "iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}"
-        " --folder {params.folder:q} --output {output:q} 2> {log:q}"
+        " --folder {params.folder:q} --output {output:q} 2> >(tee {log:q} >&2)"
 
 
 rule map:
@@ -86,4 +86,4 @@ rule map:
         code=source_digest("iksamples.bounds.map_step"),
         results="results/{study}",
     shell:
-        "iksamples map {params.study:q} --results {params.results:q} 2> {log:q}"
+        "iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"

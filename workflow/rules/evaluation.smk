@@ -45,4 +45,4 @@ rule evaluate:
         folder="results/{study}/{method}",
     shell:
         "iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.method}"
-        " --folder {params.folder:q} 2> {log:q}"
+        " --folder {params.folder:q} 2> >(tee {log:q} >&2)"

@@ -34,4 +34,4 @@ rule record:
         results="results/{study}",
     shell:
         "iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}"
-        " --output {output:q} 2> {log:q}"
+        " --output {output:q} 2> >(tee {log:q} >&2)"

@@ -37,4 +37,4 @@ rule report:
         command=typed_command(),
     shell:
         "iksamples report {params.study:q} --results {params.results:q}"
-        " --output {params.folder:q} --command {params.command:q} 2> {log:q}"
+        " --output {params.folder:q} --command {params.command:q} 2> >(tee {log:q} >&2)"

@@ -34,4 +34,4 @@ rule samples:
         code=source_digest("iksamples.samples.record"),
     shell:
         "iksamples samples {params.study:q} --name {wildcards.samples}"
-        " --output {output:q} 2> {log:q}"
+        " --output {output:q} 2> >(tee {log:q} >&2)"

@@ -35,7 +35,7 @@ rule table:
         code=source_digest("iksamples.sizing.table"),
         results="results/{study}",
     shell:
-        "iksamples table {params.study:q} --results {params.results:q} 2> {log:q}"
+        "iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
 
 
 rule answer:
@@ -60,4 +60,4 @@ rule answer:
         code=source_digest("iksamples.sizing.size"),
         results="results/{study}",
     shell:
-        "iksamples answer {params.study:q} --results {params.results:q} 2> {log:q}"
+        "iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"

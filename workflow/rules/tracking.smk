@@ -24,4 +24,4 @@ rule track:
         code=source_digest("iksamples.tracking.track"),
         results="results/{study}",
     shell:
-        "iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> {log:q}"
+        "iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> >(tee {log:q} >&2)"
