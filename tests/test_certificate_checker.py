@@ -208,6 +208,8 @@ def test_tilings_that_are_none():
     assert not tiles_unit_box(low * 0.5, high * 0.5)
     assert not tiles_unit_box(low / 3, high)  # thirds are no binary fractions
     assert not tiles_unit_box(low, np.array([[0.5, np.nan], [1, 1]]))
+    # A whole half without a box.
+    assert not tiles_unit_box(np.array([[0.5], [0.75]]), np.array([[0.75], [1.0]]))
     # The same volume and no box missing, but one twice and a hole elsewhere.
     quarters = np.array([[0, 0], [0, 0.5], [0.5, 0], [0.5, 0]])
     assert not tiles_unit_box(quarters, quarters + 0.5)

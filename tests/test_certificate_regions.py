@@ -15,11 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
+from iksamples.bounds.certificate.enclosure import pairs
 from iksamples.bounds.certificate.region import (
+    _mean_of_cells,
     _share_under_plane,
     certify_coverage,
     certify_mean,
 )
+from iksamples.bounds.certificate.residual import Residual
 from iksamples.errors import IksamplesError
 
 
@@ -91,6 +94,52 @@ def test_means_and_shares_of_random_networks(seed, kinds, activation, depth, d):
     assert coverage.complete
     slack = 6 * np.sqrt(0.3 * 0.7 / len(errors)) + 1 / len(errors)
     assert coverage.lower - slack <= 0.3 <= coverage.upper + slack
+
+
+def made_up(centre, linear, quadratic):
+    """A residual over one box that is exactly a polynomial."""
+    d = len(linear)
+    return Residual(
+        np.array([centre], float), np.array([linear], float), np.array([quadratic], float),
+        np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), True, np.zeros((1, 2**d)),
+        np.ones((1, d)),
+    )  # fmt: skip
+
+
+def mean_size(centre, linear, quadratic, n=40):
+    """The mean of the polynomial's norm, by Gauss's rule."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    d = len(linear)
+    s = np.stack(np.meshgrid(*[nodes] * d, indexing="ij"), -1).reshape(-1, d)
+    w = np.prod(np.stack(np.meshgrid(*[weights / 2] * d, indexing="ij"), -1).reshape(-1, d), 1)
+    first, second = pairs(d)
+    values = np.asarray(centre) + s @ np.asarray(linear)
+    values = values + (s[:, first] * s[:, second]) @ np.asarray(quadratic)
+    return float(w @ np.linalg.norm(values, axis=1))
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), d=st.integers(1, 3), size=st.floats(0.01, 2))
+def test_mean_of_a_cell(seed, d, size):
+    rng = np.random.default_rng(seed)
+    parts = (rng.normal(size=3), size * rng.normal(size=(d, 3)),
+             size * rng.normal(size=(len(pairs(d)[0]), 3)))  # fmt: skip
+    [low], [high] = _mean_of_cells(made_up(*parts))
+    exact = mean_size(*parts)
+    assert low - 2e-3 * size <= exact <= high + 2e-3 * size
+
+
+def test_mean_of_a_cell_is_nearly_attained():
+    """What varies is across the mean, by each kind of term in turn."""
+    for linear, quadratic, centre in (
+        ([[0, 3, 0], [0, 0, 0]], np.zeros((3, 3)), (20, 0, 0)),
+        (np.zeros((2, 3)), [[0, 3, 0], [0, 0, 0], [0, 0, 0]], (20, -1, 0)),
+        (np.zeros((2, 3)), [[0, 0, 0], [0, 0, 0], [0, 3, 0]], (20, 0, 0)),
+    ):
+        [low], [high] = _mean_of_cells(made_up(centre, linear, quadratic))
+        exact = mean_size(centre, linear, quadratic)
+        assert low <= exact <= high
+        assert high - low < 0.03 * (exact - 20)
 
 
 @settings(max_examples=200, deadline=None)

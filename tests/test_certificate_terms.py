@@ -204,6 +204,34 @@ def test_relu_symbol_is_exact_at_corners_and_attained_at_the_kink(z, width):
     assert at_kink == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_noise_of_the_layer_before_is_counted_on_both_sides(sign):
+    """At x = 1 a first kink's noise is at its end, and the second kink loses all it may lose.
+
+    h = max(0, x) is enclosed by [-0.5, 1], so max(0, z) with z = sign (2 h - 0.9) has a slope of
+    top / 3; a second, always open path takes what that slope passes on of h away again.
+    """
+    slope = (1.1 if sign > 0 else 1.9) / 3.0
+    stack = StackedMLP(
+        (
+            np.float32([[[1.0]]]),
+            np.float32([[[2.0 * sign, 1.0]]]),
+            np.float32([[[1.0], [-2.0 * sign * slope]]]),
+        ),
+        (np.float32([[0.0]]), np.float32([[-0.9 * sign, 10.0]]), np.float32([[0.0]])),
+        "relu",
+        np.zeros(1),
+        np.ones(1),
+        (0,),
+    )
+    expansion = expand(Layers.of(stack), np.zeros(1, int), np.zeros((1, 1)), np.ones((1, 1)))
+    at = values_of(expansion, corners(1), expansion.reach[0] - 1.0)
+    short = expansion.reach[0] @ np.abs(expansion.noise[0])
+    apart = np.abs(plain_answer(stack, 0, corners(1)) - at)
+    assert np.all(apart <= short + 1e-6)
+    assert apart[1] == pytest.approx(short[1], abs=1e-6)
+
+
 def test_tanh_symbol_is_attained_in_the_limit():
     """About 0, tanh z - z tends to -z^3 / 3, which is the third-derivative bound."""
     stack = StackedMLP(

@@ -108,7 +108,10 @@ def test_a_finished_study_has_nothing_to_be_done(project):
     [
         ("evaluation={'cube_points': 300}", {"evaluate", "bounds", "map", "table", "answer"}),
         ("bounds={'average_weight': 'rms'}", {"bounds", "table", "answer"}),
-        ("training={'seeds': 4}", {"train", "evaluate", "bounds", "prove", "map", "table", "answer"}),
+        (
+            "training={'seeds': 4}",
+            {"train", "evaluate", "bounds", "prove", "map", "table", "answer"},
+        ),
     ],
 )
 def test_a_change_runs_the_steps_it_affects(project, change, rules):

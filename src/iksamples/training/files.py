@@ -128,11 +128,11 @@ def _save_table(path: Path, columns: dict[str, np.ndarray]) -> None:
     from pyarrow import parquet
 
     def column(values: np.ndarray) -> pa.Array:
-        # Handing over an array would make pyarrow import pandas, for a second in all.
-        if values.dtype == bool:
-            return pa.array(values.tolist())
-        buffer = pa.py_buffer(np.ascontiguousarray(values))
-        return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, buffer])
+        # From the bytes, since pa.array would import pandas, which costs more than the training.
+        kind = pa.from_numpy_dtype(values.dtype)
+        packed = np.packbits(values, bitorder="little") if values.dtype == bool else values
+        buffer = pa.py_buffer(np.ascontiguousarray(packed))
+        return pa.Array.from_buffers(kind, len(values), [None, buffer])
 
     table = pa.table({name: column(values) for name, values in columns.items()})
     parquet.write_table(table, path)

@@ -13,6 +13,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _TINY = float(np.finfo(float).tiny)
+_NOTHING = 1e-30
+"""Noise below this drowns in the rounding slack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,12 @@ def corners(d: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
+def _with_constant(d: int) -> Floats:
+    """The corners with a one in front, shape (2^d, 1 + d)."""
+    return np.concatenate([np.ones((2**d, 1)), corners(d)], axis=1)
+
+
+@lru_cache(maxsize=16)
 def pairs(d: int) -> tuple[Ints, Ints]:
     """The squares, then the mixed products, of d variables."""
     mixed = np.triu_indices(d, 1)
@@ -81,11 +89,11 @@ def expand(layers: Layers, which: Ints, centre_mm: Floats, radius_mm: Floats) ->
     rows[:, 0] += layers.bias(0, which)
     reaches, shares = [], []
     for depth in range(1, len(layers.weights)):
-        fresh, reach, share = _relu(rows, split) if relu else _tanh(rows, split)
+        # A new symbol touches one neuron, so its row of the next layer is a scaled row of weights.
+        apply = _relu if relu else _tanh
+        added, reach, share = apply(rows, split, layers.weight(depth, which))
         reaches.append(reach)
         shares.append(share)
-        # A new symbol touches one neuron, so its row of the next layer is a scaled row of weights.
-        added = fresh[:, :, None] * layers.weight(depth, which)
         rows = np.concatenate([layers.through(rows, depth, which), added], axis=1)
         rows[:, 0] += layers.bias(depth, which)
     return Expansion(
@@ -99,34 +107,54 @@ def expand(layers: Layers, which: Ints, centre_mm: Floats, radius_mm: Floats) ->
     )
 
 
-def _relu(rows: Floats, split: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
-    """Applies ReLU in place; returns half width, reach and shares of each neuron's new symbol.
+def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats, Floats, Floats]:
+    """Applies ReLU in place; returns the new symbols' next rows, reach and shares.
 
     For z in [l, u], l < 0 < u, and slope a = u / (u - l): max(0, z) = a z + g(z) with
     0 <= g(z) = max((1 - a) z, -a z) <= w = -l u / (u - l). The new symbol is 2 g / w - 1. As g is
     convex, its largest value over the noise in z is at an end, and that is convex in s.
+
+    Args:
+        rows: The sums before the activation.
+        split: Where the quadratic rows and the noise begin.
+        weight: Weights of the next layer, shape (batch or 1, in, out).
     """
-    linear = rows[:, 1 : split[0]]
-    share = np.abs(linear)
-    straight = share.sum(axis=1)
-    share /= np.maximum(straight, _TINY)[:, None]
-    other = np.abs(rows[:, split[1] :]).sum(axis=1)
+    size = np.abs(rows[:, 1:])
+    straight = size[:, : split[0] - 1].sum(axis=1)
+    other = size[:, split[1] - 1 :].sum(axis=1)
     below = np.minimum(rows[:, 0] - straight - other, 0.0)
     above = np.maximum(rows[:, 0] + straight + other, 0.0)
     slope = above / np.maximum(above - below, _TINY)
     half = -0.5 * slope * below
-    high = corners(split[0] - 1) @ linear
-    low = high + (rows[:, 0] - other)[:, None]
-    high += (rows[:, 0] + other)[:, None]
-    reach = np.maximum((1.0 - slope)[:, None] * high, -slope[:, None] * low)
-    reach *= (0.5 / np.maximum(half, _TINY))[:, None]
+
+    # Only neurons that change sign somewhere in a box make noise: gather them.
+    open_ones = half > _NOTHING
+    most = int(open_ones.sum(axis=1).max(initial=0))
+    part = np.argsort(~open_ones, axis=1, kind="stable")[:, :most]
+    known = np.take_along_axis(rows[:, : split[0]], part[:, None], axis=2)
+    own_slope, own_half, own_other, own_straight = (
+        np.take_along_axis(values, part, axis=1) for values in (slope, half, other, straight)
+    )
+    # At a corner: (1 - a) (z + other) and -a (z - other), over w.
+    own_open = np.take_along_axis(open_ones, part, axis=1)
+    scale = np.where(own_open, 0.5 / np.maximum(own_half, _NOTHING), 0.0)
+    known[:, 0] += own_other
+    reach = _with_constant(split[0] - 1) @ (known * (scale * (1.0 - own_slope))[:, None])
+    known[:, 0] -= 2.0 * own_other
+    np.maximum(
+        reach, _with_constant(split[0] - 1) @ (known * (-scale * own_slope)[:, None]), out=reach
+    )
+    np.minimum(reach, 1.0, out=reach)
+    share = np.abs(known[:, 1:]) / np.maximum(own_straight, _TINY)[:, None]
+
     rows *= slope[:, None, :]
     rows[:, 0] += half
-    return half, np.clip(reach, 0.0, 1.0), share
+    outgoing = weight[0][part] if len(weight) == 1 else weight[np.arange(len(rows))[:, None], part]
+    return own_half[:, :, None] * outgoing, reach, share
 
 
-def _tanh(rows: Floats, split: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
-    """Applies tanh in place; returns half width, reach and shares of each neuron's new symbol.
+def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats, Floats, Floats]:
+    """Applies tanh in place; returns the new symbols' next rows, reach and shares.
 
     With z = z0 + v + e, v the linear part and |e| <= o the rest: tanh z = t0 + t1 (v + e)
     + t2 v^2 / 2 + r, |r| <= |t2| (2 |v| + o) o / 2 + max |tanh'''| (|v| + o)^3 / 6.
@@ -156,7 +184,7 @@ def _tanh(rows: Floats, split: tuple[int, int]) -> tuple[Floats, Floats, Floats]
     rows[:, 0] = value
     rows[:, 1:] *= slope[:, None, :]
     rows[:, split[0] : split[1]] += half_bend[:, None, :] * product
-    return half, np.minimum(reach, 1.0), share
+    return half[:, :, None] * weight, np.minimum(reach, 1.0), share
 
 
 def third_derivative_bound(lower: Floats, upper: Floats) -> Floats:

@@ -22,6 +22,8 @@ from iksamples.training.network import StackedMLP
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_CACHE = 400_000
+"""Values of the largest array of one piece of work."""
 _SLACK = 64.0
 """How many roundings of the plain evaluation the search allows itself. Generous, not proved: the
 checker is the proof."""
@@ -182,10 +184,21 @@ class ErrorOverBoxes:
             The bounds; the corner of each box where its bound is taken; how much is lost to its
             extent along each axis. Shapes (boxes,), (boxes, 1, d), (boxes, d).
         """
-        residual = self.residual(which, centre_mm, radius_mm)
-        upper, worst = residual.largest()
+        upper, worst, weight = (
+            np.empty(len(which)),
+            np.empty(len(which), int),
+            np.empty_like(radius_mm),
+        )
+        # Pieces that stay in the cache: the largest arrays hold a value per corner and neuron.
+        neurons = sum(matrix.shape[2] for matrix in self.layers.weights)
+        step = max(64, _CACHE // (2 ** centre_mm.shape[1] * neurons))
+        for first in range(0, len(which), step):
+            some = slice(first, first + step)
+            residual = self.residual(which[some], centre_mm[some], radius_mm[some])
+            upper[some], worst[some] = residual.largest()
+            weight[some] = residual.weight_mm
         corner = centre_mm + corners(centre_mm.shape[1])[worst] * radius_mm
-        return upper + self.slack_mm[which], corner[:, None], residual.weight_mm
+        return upper + self.slack_mm[which], corner[:, None], weight
 
     def residual(
         self, which: Ints, centre_mm: Floats, radius_mm: Floats, minus_identity: bool = True

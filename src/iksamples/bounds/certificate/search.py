@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _BATCH = 1024
-"""Boxes bounded in one call: more no longer pays, and they leave the cache."""
+"""Boxes bounded in one round, or a quarter of those that wait where that is more."""
 _FILL = 96
 """While fewer boxes than this are left, each is split along several axes at once."""
 _SMALLEST = 2.0**-48
@@ -270,8 +270,9 @@ def maximise(
                 break
         # The most promising boxes first, so that a search that is cut short has done most.
         now = np.arange(len(low))
-        if len(now) > _BATCH:
-            now = np.argpartition(-hopes, _BATCH)[:_BATCH]
+        batch = max(_BATCH, len(now) // 4)
+        if len(now) > batch:
+            now = np.argpartition(-hopes, batch)[:batch]
         wait = np.ones(len(low), bool)
         wait[now] = False
 
