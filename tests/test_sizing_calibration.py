@@ -1,14 +1,24 @@
 """Whether answers keep their word on trainings they have not seen."""
 
+import json
+import subprocess
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import norm
 
+from iksamples.bounds.certify_step import certify
 from iksamples.errors import IksamplesError
-from iksamples.sizing.calibration import calibrate
+from iksamples.evaluation.step import evaluate
+from iksamples.sizing.calibration import calibrate, read_calibrations
 from iksamples.sizing.ladder import judge, standing
+from iksamples.sizing.outcomes import Line, all_cells
+from iksamples.sizing.size import answer_study
 from iksamples.study import parse_study
+
+
+LINE = Line("network", "grid")
 
 
 def tolerance_of(**settings):
@@ -27,7 +37,7 @@ def fresh(shares, n=200, good=1.0, bad=9.0):
 
 
 def test_an_answer_that_keeps_its_word():
-    found = calibrate(tolerance_of(), fresh({27: 90, 64: 190}), 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 90, 64: 190}), LINE, 64, 27)
     assert found.kept
     assert found.sharp
     assert found.at.success.value == 0.95
@@ -40,20 +50,20 @@ def test_an_answer_that_keeps_its_word():
 
 
 def test_an_answer_that_does_not():
-    found = calibrate(tolerance_of(), fresh({27: 90, 64: 150}), 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 90, 64: 150}), LINE, 64, 27)
     assert not found.kept
     assert found.statement.startswith("The answer does not keep its word: with 64 samples, 150 of")
 
 
 def test_a_rung_below_that_does_as_well_was_caution():
-    found = calibrate(tolerance_of(), fresh({27: 170, 64: 190}), 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 170, 64: 190}), LINE, 64, 27)
     assert found.kept
     assert not found.sharp
     assert found.statement.endswith("so the answer was more careful than it had to be.")
 
 
 def test_the_best_of_three_and_no_rung_below():
-    found = calibrate(tolerance_of(best_of=3), fresh({8: 100}), 8, None)
+    found = calibrate(tolerance_of(best_of=3), fresh({8: 100}), LINE, 8, None)
     assert found.at.success.value == pytest.approx(7 / 8)
     assert found.kept
     assert found.below is found.sharp is None
@@ -62,7 +72,67 @@ def test_the_best_of_three_and_no_rung_below():
 
 def test_fresh_trainings_that_are_missing_are_named():
     with pytest.raises(IksamplesError, match="no fresh trainings with 27 samples"):
-        calibrate(tolerance_of(), fresh({64: 190}), 64, 27)
+        calibrate(tolerance_of(), fresh({64: 190}), LINE, 64, 27)
+
+
+@pytest.mark.slow
+def test_a_study_checks_itself(command, tmp_path, chain):
+    """Fresh networks lie beside the study's, are others than those, and are counted right."""
+    results = tmp_path / "results"
+    settings = {
+        "name": "self",
+        "samples": {"points_per_axis": [2, 3]},
+        "training": {"seeds": 8, "epochs": 400},
+        "methods": {"tanh": {"network": {"activation": "tanh"}, "training": {"seeds": 9}}},
+        "evaluation": {"cube_points": 100},
+        "tolerance": {"error_mm": 30, "success_share": 0.5},
+        "calibration": {"seeds": 12},
+    }
+    study, file = parse_study(settings), tmp_path / "self.json"
+    file.write_text(json.dumps(settings))
+    run = [command, "samples", file, "--name"]
+    for label in ("grid2", "grid3"):
+        target = results / f"samples/{label}.parquet"
+        subprocess.run([*run, label, "--output", target], check=True)
+    sets = [results / f"samples/{label}.parquet" for label in ("grid2", "grid3")]
+    subprocess.run([command, "train", file, *sets, "--output", results], check=True)
+    proofs = []
+    for cell in all_cells(study, results):
+        tables, _ = evaluate(study, chain, cell.samples, cell.method, cell.folder)
+        for name, table in tables.items():
+            table.to_parquet(cell.folder / f"{name}.parquet")
+        proofs.append(certify(study, chain, cell.method, cell.samples, cell.folder))
+    pd.concat(proofs).to_csv(results / "certificates.csv", index=False)
+    found = answer_study(study, results)
+    (results / "answer.json").write_text(found.to_json())
+    output = results / "calibration.json"
+    subprocess.run(
+        [command, "calibrate", file, "--results", results, "--output", output], check=True
+    )
+    checks = read_calibrations(results)
+    answered = [one for one in found.methods if one.status == "answered"]
+    assert answered
+    assert [check.method for check in checks] == [one.method for one in answered]
+    for check in checks:
+        fresh = results / "fresh" / check.method
+        proofs = pd.read_csv(fresh / "certificates.csv").query(f"n_samples == {check.at.n_samples}")
+        # Seeds 0 to 8 gave the answer, of whichever method.
+        assert sorted(proofs["seed"]) == list(range(9, 21))
+        assert check.at.n_seeds == 12
+        assert check.at.n_met == (proofs["sup_upper_mm"] <= 30).sum()
+        assert check.at.success.value == check.at.n_met / 12
+        assert check.kept == (check.at.n_met >= 6)
+
+
+def test_a_study_without_fresh_seeds_says_so(command, tmp_path):
+    file = tmp_path / "s.yaml"
+    file.write_text("name: s")
+    arguments = [command, "calibrate", file, "--results", tmp_path, "-o", tmp_path / "c.json"]
+    done = subprocess.run(arguments, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"Error: {file}: calibration.seeds is 0; say how many fresh trainings, 200 for example.\n"
+    )
 
 
 def outcomes_of(rng, medians, seeds, spread=0.3):
@@ -130,7 +200,7 @@ def test_fresh_trainings_confirm_the_answer(rng):
             continue
         below = (found.points_per_axis - 1) ** 3
         fresh_ones = outcomes_of(rng, medians, 200)
-        result = calibrate(tolerance, fresh_ones, found.n_samples, below)
+        result = calibrate(tolerance, fresh_ones, LINE, found.n_samples, below)
         answered += 1
         kept.append(result.kept)
         sharp.append(result.sharp)

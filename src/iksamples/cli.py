@@ -285,6 +285,24 @@ def answer(study_file: StudyFile, results: Results) -> None:
 
 
 @app.command()
+def calibrate(study_file: StudyFile, results: Results, output: Output) -> None:
+    """Train the answer's networks again with fresh seeds, and count how many meet the tolerance."""
+    from iksamples.sizing.calibration import to_json
+    from iksamples.sizing.fresh import calibrate_results
+
+    study, chain = _open(study_file)
+    if not study.calibration.seeds:
+        raise IksamplesError(
+            f"{study_file}: calibration.seeds is 0; say how many fresh trainings, 200 for example."
+        )
+    found = calibrate_results(study, chain, results, progress=True)
+    with _whole(output) as file:
+        file.write_text(to_json(found), encoding="utf-8")
+    for one in found:
+        typer.echo(f"{one.method}, {one.design}: {one.statement}")
+
+
+@app.command()
 def recommend(results: Results) -> None:
     """Print the answer of a finished study: how many samples, by which method, how sure."""
     from iksamples.sizing.answer import recommend as advise

@@ -343,6 +343,18 @@ class Tolerance(Section):
     )
 
 
+class Calibration(Section):
+    """Whether the answer holds for trainings that had no part in it."""
+
+    seeds: int = Field(
+        0,
+        ge=0,
+        le=100_000,
+        description="Trainings of each network with fresh seeds, at its answer and at one rung "
+        "below; 0: none.",
+    )
+
+
 class Tracking(Section):
     """Where MLflow keeps the runs."""
 
@@ -372,6 +384,7 @@ class Study(Section):
     evaluation: Evaluation = Evaluation()
     bounds: Bounds = Bounds()
     tolerance: Tolerance = Tolerance()
+    calibration: Calibration = Calibration()
     tracking: Tracking = Tracking()
 
     @model_validator(mode="before")

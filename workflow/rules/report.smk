@@ -15,6 +15,9 @@ rule report:
         urdf=STUDY.robot.urdf,
         table="results/{study}/table.csv",
         answer="results/{study}/answer.json",
+        calibration=(
+            "results/{study}/calibration.json" if STUDY.calibration.seeds else []
+        ),
         maps=expand(
             "results/{{study}}/network/{samples}/{table}.parquet",
             samples=FIRST_LABELS,

@@ -8,6 +8,7 @@ REQUIRED INPUTS
 OUTPUTS
     results/<study>/table.csv, certificates.csv
     results/<study>/answer.json, samples-needed.csv
+    results/<study>/calibration.json, where the study asks for fresh trainings
 """
 
 
@@ -61,3 +62,26 @@ rule answer:
         results="results/{study}",
     shell:
         "iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+
+
+rule calibrate:
+    """The answer's networks again, with seeds it has not seen."""
+    input:
+        answer="results/{study}/answer.json",
+    output:
+        "results/{study}/calibration.json",
+    log:
+        "results/{study}/logs/calibrate.log",
+    benchmark:
+        "results/{study}/benchmarks/calibrate.jsonl"
+    threads: 2
+    params:
+        study="results/{study}/study.json",
+        settings=settings(
+            "robot", "workspace", "training", "evaluation", "bounds", "calibration"
+        ),
+        code=source_digest("iksamples.sizing.fresh"),
+        results="results/{study}",
+    shell:
+        "iksamples calibrate {params.study:q} --results {params.results:q} --output {output:q}"
+        " 2> >(tee {log:q} >&2)"

@@ -18,6 +18,7 @@ from iksamples.robot.chain import Floats, SerialChain
 from iksamples.robot.workspace import study_chain
 from iksamples.samples.dataset import AXES, SampleSet
 from iksamples.sizing import answer as answers
+from iksamples.sizing.calibration import Calibration, read_calibrations
 from iksamples.sizing.outcomes import all_cells, certificates
 from iksamples.study import NETWORK, Study
 
@@ -174,6 +175,11 @@ class ReportData:
         """How many samples the study's tolerance takes; None where that was not worked out."""
         found = (self.results / answers.FILE).exists()
         return answers.read_answer(self.results) if found else None
+
+    @cached_property
+    def calibrations(self) -> list[Calibration]:
+        """How the answers fared with fresh trainings; empty where the study asks for none."""
+        return read_calibrations(self.results) if self.study.calibration.seeds else []
 
     @cached_property
     def samples_needed(self) -> pd.DataFrame | None:

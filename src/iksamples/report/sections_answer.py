@@ -5,6 +5,7 @@ from iksamples.report.blocks import Block, Column, Figure, Number, Section, Tabl
 from iksamples.report.data import ReportData
 from iksamples.report.wording import percent, thousands, typeset
 from iksamples.sizing.answer import MethodAnswer
+from iksamples.sizing.words import described
 from iksamples.study import Tolerance
 
 
@@ -47,6 +48,54 @@ def how_many_samples(data: ReportData) -> Section | None:
         name = typeset(f"{one.description[0].upper()}{one.description[1:]}{where}")
         blocks.append(Text(f"**{name}.** {typeset(' '.join(one.sentences))}", in_readme=brief))
     return Section("answer", "How many samples", blocks)
+
+
+def fresh_trainings(data: ReportData) -> Section | None:
+    """How often trainings that had no part in the answer meet it; None where there are none."""
+    found = data.calibrations
+    if not found:
+        return None
+    study = data.study
+    several = len(study.samples.designs) > 1
+    columns = [
+        Column("method", text=True),
+        *([Column("samples placed", text=True)] if several else []),
+        Column("samples"),
+        Column("", text=True),
+        Column("fresh trainings"),
+        Column("meet it", ours=True),
+        Column("share", "%", ours=True),
+        Column("95 % interval", "%", text=True),
+    ]
+    blocks: list[Block] = []
+    rows: list[list[str | Number]] = []
+    for one in found:
+        name = typeset(described(study, one.method))
+        head = [name, *([one.design] if several else [])]
+        blocks.append(Text(f"**{name[0].upper()}{name[1:]}.** {typeset(one.statement)}"))
+        for rate, what in ((one.at, "the answer"), (one.below, "one rung below")):
+            if rate:
+                share = rate.success
+                rows.append(
+                    [
+                        *head,
+                        Number(rate.n_samples, 0),
+                        what,
+                        Number(rate.n_seeds, 0),
+                        Number(rate.n_met, 0),
+                        Number(100 * share.value, 1),
+                        f"{100 * share.low:.1f} to {100 * share.high:.1f}",
+                    ]
+                )
+    tolerance = study.tolerance
+    best = "" if tolerance.best_of == 1 else f" by the best of {tolerance.best_of}"
+    caption = (
+        f"Trainings with seeds that had no part in the answer. Promised: {tolerance.error_mm:g} mm "
+        f"met{best} at least {percent(tolerance.success_share)} of the time. Data: "
+        f"`{(data.results / 'calibration.json').as_posix()}`."
+    )
+    blocks.append(Table(columns, rows, caption, "table-fresh"))
+    return Section("fresh-trainings", "Does the answer keep its word?", blocks)
 
 
 def _question(tolerance: Tolerance) -> str:

@@ -31,6 +31,7 @@ from iksamples.study import Study
 
 SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
     sections_answer.how_many_samples,
+    sections_answer.fresh_trainings,
     sections_methods.methods_and_designs,
     sections_methods.readings,
     sections_results.table_one,

@@ -1,14 +1,15 @@
 """Whether an answer keeps its word: the same trainings again, with fresh seeds."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from pydantic import Field, TypeAdapter
+
 from iksamples.errors import IksamplesError
 from iksamples.results import NETWORK, cells
-from iksamples.sizing.answer import Answer
-from iksamples.sizing.outcomes import by_rung, certificates, outcomes
-from iksamples.sizing.statistics import Interval, best_of_share, share_interval
+from iksamples.sizing.answer import Answer, Part
+from iksamples.sizing.outcomes import Line, by_rung, certificates, outcomes
+from iksamples.sizing.statistics import best_of_share, share_interval
 from iksamples.sizing.words import percent, several
 from iksamples.study import Design, Study, Tolerance
 
@@ -16,46 +17,51 @@ from iksamples.study import Design, Study, Tolerance
 if TYPE_CHECKING:
     import pandas as pd
 
-
-@dataclass(frozen=True)
-class HitRate:
-    """How often fresh trainings met the tolerance.
-
-    Attributes:
-        n_samples: Samples.
-        n_seeds: Fresh trainings.
-        n_met: Those that met it.
-        success: How often the best of K of them meets it, with its 95 % interval; the share itself
-            where K is 1.
-    """
-
-    n_samples: int
-    n_seeds: int
-    n_met: int
-    success: Interval
+FILE = "calibration.json"
+FRESH = "fresh"
+"""Folder inside a study's results that holds the fresh trainings."""
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """Fresh trainings at the answer and one rung below.
+class Share(Part):
+    """A share with its two-sided 95 % interval."""
 
-    Attributes:
-        at: At the recommended number of samples.
-        below: One rung below; None: there is none.
-        kept: Whether at least the promised share met the tolerance.
-        sharp: Whether one rung below it did not; None without such a rung.
-        statement: The same in sentences.
-    """
+    value: float = Field(description="The share.")
+    low: float = Field(description="Lower end.")
+    high: float = Field(description="Upper end.")
 
-    at: HitRate
-    below: HitRate | None
-    kept: bool
-    sharp: bool | None
-    statement: str
+
+class HitRate(Part):
+    """How often fresh trainings met the tolerance."""
+
+    n_samples: int = Field(description="Samples.")
+    n_seeds: int = Field(description="Fresh trainings.")
+    n_met: int = Field(description="Those that met it.")
+    success: Share = Field(
+        description="How often the best of `best_of` of them meets it; the share itself where that "
+        "is 1."
+    )
+
+
+class Calibration(Part):
+    """Fresh trainings at the answer and one rung below."""
+
+    method: str = Field(description="Name of the method.")
+    design: str = Field(description="How its samples are placed.")
+    at: HitRate = Field(description="At the recommended number of samples.")
+    below: HitRate | None = Field(description="One rung below; null: there is none.")
+    kept: bool = Field(description="Whether at least the promised share met the tolerance.")
+    sharp: bool | None = Field(
+        description="Whether one rung below it did not; null without such a rung."
+    )
+    statement: str = Field(description="The same in sentences.")
 
 
 def calibrate(
-    tolerance: Tolerance, fresh: "pd.DataFrame", n_samples: int, n_below: int | None
+    tolerance: Tolerance,
+    fresh: "pd.DataFrame",
+    line: Line,
+    n_samples: int,
+    n_below: int | None,
 ) -> Calibration:
     """Holds an answer against fresh trainings.
 
@@ -65,6 +71,7 @@ def calibrate(
     Args:
         tolerance: The wish the answer was given for.
         fresh: Outcomes of seeds that the answer has not seen (200, say), of one method and design.
+        line: The method and design they are of.
         n_samples: The number of samples recommended.
         n_below: The next smaller one of the ladder; None: there is none.
 
@@ -83,7 +90,15 @@ def calibrate(
     wish = tolerance.success_share
     kept = at.success.value >= wish
     sharp = None if below is None else below.success.value < wish
-    return Calibration(at, below, kept, sharp, _statement(tolerance, at, below, kept, sharp))
+    return Calibration(
+        method=line.method,
+        design=line.design,
+        at=at,
+        below=below,
+        kept=kept,
+        sharp=sharp,
+        statement=_statement(tolerance, at, below, kept, sharp),
+    )
 
 
 def calibrate_study(
@@ -124,13 +139,39 @@ def calibrate_study(
     on = cells(asked, fresh_results, method, cast("Design", one.design))
     rows = outcomes(asked, on, certificates(fresh_results))
     below = one.below.n_samples if one.below else None
-    return calibrate(answer.tolerance, rows, one.n_samples, below)
+    return calibrate(answer.tolerance, rows, Line(method, one.design), one.n_samples, below)
+
+
+def read_calibrations(results: str | Path) -> list[Calibration]:
+    """What fresh trainings said of a study's answers; nothing where it asked for none.
+
+    Raises:
+        IksamplesError: The file cannot be read.
+    """
+    file = Path(results) / FILE
+    if not file.exists():
+        return []
+    try:
+        return _LIST.validate_json(file.read_bytes())
+    except ValueError as error:
+        raise IksamplesError(f"{file}: not of this version ({error}). Run it again.") from None
+
+
+def to_json(found: list[Calibration]) -> str:
+    """The text of ``calibration.json``."""
+    return _LIST.dump_json(found, indent=2).decode() + "\n"
 
 
 def _rate(tolerance: Tolerance, n: int, group: "pd.DataFrame") -> HitRate:
     met, n_seeds = int((group["error_mm"] <= tolerance.error_mm).sum()), len(group)
-    ends = (best_of_share(share, tolerance.best_of) for share in share_interval(met, n_seeds))
-    return HitRate(n, n_seeds, met, Interval(*ends))
+    value, low, high = (
+        best_of_share(share, tolerance.best_of) for share in share_interval(met, n_seeds)
+    )
+    success = Share(value=value, low=low, high=high)
+    return HitRate(n_samples=n, n_seeds=n_seeds, n_met=met, success=success)
+
+
+_LIST = TypeAdapter(list[Calibration])
 
 
 def _statement(

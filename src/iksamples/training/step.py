@@ -16,6 +16,7 @@ def train_study(
     output: Path,
     cache: Path | None = None,
     progress: bool = False,
+    methods: Sequence[str] | None = None,
 ) -> None:
     """Trains every network of a study on every set of samples.
 
@@ -25,8 +26,9 @@ def train_study(
         output: Gets a folder ``<method>/<samples>`` for each.
         cache: Folder of trained seeds, one inside it for each of these; None: keep none.
         progress: Report on stderr.
+        methods: Only these; None: all networks.
     """
-    for method in networks(study):
+    for method in methods or networks(study):
         held_out = study.all_methods[method].training.held_out
         for samples in sample_sets:
             n_trained = samples.n_samples
