@@ -14,6 +14,7 @@ from markupsafe import Markup, escape
 from iksamples.report import (
     sections_answer,
     sections_certified,
+    sections_changes,
     sections_claims,
     sections_cost,
     sections_map,
@@ -34,6 +35,7 @@ SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
     sections_answer.fresh_trainings,
     sections_methods.methods_and_designs,
     sections_methods.readings,
+    sections_changes.what_each_change_does,
     sections_results.table_one,
     sections_results.error_against_samples,
     sections_certified.certified_worst_case,
