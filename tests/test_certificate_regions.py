@@ -184,6 +184,21 @@ def test_cut_short_searches_still_enclose():
     assert coverage.lower < 0.5 < coverage.upper
 
 
+def test_a_length_that_is_close_enough_ends_the_search():
+    """No cell is split once the bounds lie within the length, and they still enclose."""
+    chain = planar([40.0, 30.0])
+    rng = np.random.default_rng(1)
+    stack = random_network(rng, (2, 8, 2), "relu", lower=(20, 20), upper=(50, 50))
+    errors = plain_errors(stack, chain, 20 + 30 * rng.random((20_000, 2)))
+    box = (20, 20), (50, 50)
+    fine = certify_mean(stack, 0, chain, *box, rtol=1e-3)
+    rough = certify_mean(stack, 0, chain, *box, rtol=1e-3, atol_mm=0.5)
+    assert rough.complete
+    assert 2e-3 * rough.upper_mm < rough.upper_mm - rough.lower_mm <= 1.0
+    assert rough.lower_mm < errors.mean() < rough.upper_mm
+    assert rough.boxes < fine.boxes / 4
+
+
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf])
 def test_a_tolerance_is_a_positive_length(tolerance):
     with pytest.raises(IksamplesError, match="positive"):

@@ -312,11 +312,17 @@ class Bounds(Section):
         description="Certified worst case: largest gap between its bounds, as a share.",
     )
     mean_rtol: float = Field(
-        0.1,
+        0.025,
         ge=5e-3,
         le=1,
-        description="Certified mean: its bounds lie within this share of their middle; 0.025 costs "
-        "some six times as much.",
+        description="Certified mean: its bounds lie within this share of their middle, or within "
+        "`mean_atol_mm`. Half the share costs some two to four times as much.",
+    )
+    mean_atol_mm: float = Field(
+        0.02,
+        ge=0,
+        le=1000,
+        description="Certified mean: bounds closer to its middle than this are not asked for [mm].",
     )
 
 

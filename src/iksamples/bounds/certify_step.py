@@ -75,7 +75,14 @@ def certify_networks(
     )
     rows = []
     for row, certificate in enumerate(certificates):
-        mean = certify_mean(sound, row, chain, *box, rtol=study.bounds.mean_rtol)
+        mean = certify_mean(
+            sound,
+            row,
+            chain,
+            *box,
+            rtol=study.bounds.mean_rtol,
+            atol_mm=study.bounds.mean_atol_mm,
+        )
         rows.append(
             {
                 **_key(method, samples, sound.seeds[row]),

@@ -8,7 +8,9 @@ after Nielsen's rule (Madsen, Nielsen and Tingleff, *Methods for Non-Linear Leas
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from iksamples.training.problem import Problem
@@ -33,7 +35,8 @@ SMALL_GRADIENT = 1e-12
 SMALL_STEP = 1e-12
 """A seed has converged when a step is shorter than this share of its parameters."""
 
-_JACOBIAN_BYTES = 2**28
+_JACOBIAN_BYTES = 2**23
+"""The Jacobians of one part: more would leave the cache."""
 
 
 class LevenbergEngine:
@@ -47,6 +50,7 @@ class LevenbergEngine:
         self.problem = problem
 
     @one_thread()
+    @threadpool_limits.wrap(limits=1, user_api="blas")
     def run(
         self, flat: Tensor, state: StackedAdam, progress: Progress, first: int, n_epochs: int
     ) -> None:
@@ -118,7 +122,7 @@ def iterate(
     old = flat[rows]
     stack = list(layers(old, problem.sizes))
     residual, jacobian = linearise(stack, problem.activation, x, y)
-    normal = jacobian.mT @ jacobian
+    normal = gram(jacobian)
     gradient = (jacobian.mT @ residual[..., None])[..., 0]
     diagonal = normal.diagonal(dim1=1, dim2=2)
     if start:
@@ -146,6 +150,20 @@ def iterate(
     # A damping beyond all bounds: no step helps (or the loss is not a number).
     converged |= ~torch.isfinite(damping[rows]) | (damping[rows] > 1e30)
     return torch.where(better, after, before) / n, converged
+
+
+def gram(jacobian: Tensor) -> Tensor:
+    """The product J^T J of each seed.
+
+    NumPy hands a matrix times its own transpose to the BLAS's symmetric product, which does half
+    the work; torch does not.
+
+    Args:
+        jacobian: Shape (seeds, residuals, parameters).
+    """
+    if jacobian.device.type != "cpu":
+        return jacobian.mT @ jacobian
+    return torch.from_numpy(np.stack([one.T @ one for one in jacobian.numpy()]))
 
 
 def linearise(

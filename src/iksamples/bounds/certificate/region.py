@@ -80,6 +80,7 @@ def certify_mean(
     upper_mm: ArrayLike,
     *,
     rtol: float = 0.025,
+    atol_mm: float = 0.0,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     compare: Comparison | None = None,
@@ -92,7 +93,8 @@ def certify_mean(
         chain: The arm.
         lower_mm: Lower corner of the box [mm], shape (in,).
         upper_mm: Upper corner of the box [mm], shape (in,).
-        rtol: The bounds end up within this share of their middle.
+        rtol: The bounds end up within this share of their middle,
+        atol_mm: or within this length of it [mm], if that is more.
         max_boxes: Cells to bound, at most.
         time_limit_s: Time to spend, at most [s].
         compare: What is compared; the first coordinates with the first inputs if None.
@@ -111,7 +113,7 @@ def certify_mean(
         volume = cells.volume
         least = float(volume @ low) - float(errors.slack_mm[0])
         most = float(volume @ high) + float(errors.slack_mm[0])
-        allowed = rtol * (least + most)
+        allowed = max(rtol * (least + most), 2 * atol_mm)
         done = most - least <= allowed
         if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
             return MeanError(
