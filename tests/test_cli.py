@@ -25,7 +25,8 @@ def test_every_command_has_help(command):
     assert top.returncode == 0
     listed = [line.split()[1] for line in top.stdout.splitlines() if line.startswith("│ ")]
     steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "table", "answer",
-             "recommend", "next", "track", "record", "report", "certify", "handbook"}  # fmt: skip
+             "recommend", "calibrate", "plan", "next", "track", "record", "report", "certify",
+             "handbook"}  # fmt: skip
     assert steps <= set(listed)
 
 

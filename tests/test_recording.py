@@ -29,6 +29,9 @@ from iksamples.study import Study, parse_study
 from iksamples.training.network import StackedMLP, write_tensors
 
 
+pytestmark = pytest.mark.slow
+
+
 SEEDS = (3, 4, 5, 6)
 EPOCHS = np.array([1, 2, 7, 40])
 

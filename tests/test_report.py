@@ -37,6 +37,9 @@ from iksamples.study import Study, parse_study
 from iksamples.training.network import StackedMLP
 
 
+pytestmark = pytest.mark.slow
+
+
 ROOT = Path(__file__).parents[1]
 SMALL: dict[str, Any] = {"evaluation": {"cube_points": 256}}
 

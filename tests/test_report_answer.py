@@ -28,6 +28,9 @@ from iksamples.sizing.size import answer_study
 from iksamples.study import Study
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Study, Path, Path]]:
     """A study of two networks and a look-up table, with its answer."""

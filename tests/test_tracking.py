@@ -31,6 +31,9 @@ from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_u
 from iksamples.training.network import StackedMLP
 
 
+pytestmark = pytest.mark.slow
+
+
 os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
 
 ROOT = Path(__file__).parents[1]

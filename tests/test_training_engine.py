@@ -280,6 +280,7 @@ def test_engines_agree_when_each_seed_has_its_own_samples():
     assert not np.isclose(shared.parameters, records[0].parameters, atol=1e-3).all(axis=1).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["constant", "plateau"])
 def test_engines_end_with_the_same_errors(schedule):
     # 2400 steps: single trajectories have parted, their distribution has not.
@@ -315,6 +316,7 @@ def test_plateau_halves_the_rate_of_a_stalled_seed_alone(fit):
             assert not np.array_equal(record.parameters[i], free.parameters[i])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
 def test_fused_gradient_against_finite_differences(activation, rng):
     n, sizes, lanes = 5, (3, 6, 4, 2), fused.LANES
@@ -350,6 +352,7 @@ def test_fused_gradient_against_finite_differences(activation, rng):
         np.testing.assert_allclose(gradient[:, p], slope, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_tanh_of_the_kernel(rng):
     import numba
 

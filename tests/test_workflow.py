@@ -130,9 +130,9 @@ def test_a_new_grid_trains_only_itself(project, tmp_path):
         "--config", "samples={'points_per_axis': [2, 3, 4]}",
     )  # fmt: skip
     said = {line.split(":")[0]: line for line in done.stderr.splitlines() if "seeds" in line}
-    assert "nothing new" in said["grid2"]
-    assert "nothing new" in said["grid3"]
-    assert "nothing new" not in said["grid4"]
+    assert "nothing new" in said["network/grid2"]
+    assert "nothing new" in said["network/grid3"]
+    assert "nothing new" not in said["network/grid4"]
     assert (folder / "results/tiny/network/grid3/weights.safetensors").read_bytes() == before
 
 

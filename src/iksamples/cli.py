@@ -86,6 +86,33 @@ def check(study_file: StudyFile) -> None:
 
 
 @app.command()
+def plan(
+    study_file: StudyFile,
+    cores: Annotated[int, typer.Option(min=1, help="As for snakemake.")] = 2,
+    results: Annotated[
+        Path | None,
+        typer.Option(help="Where trained seeds are looked for; by default results/<study>."),
+    ] = None,
+) -> None:
+    """Say what a study would take: networks to train, time, memory. Nothing is run."""
+    from iksamples.plan import plan_study, plan_text
+    from iksamples.results import sample_sets
+    from iksamples.samples.record import record_samples
+    from iksamples.training.step import trained_before
+
+    study, chain = _open(study_file)
+    _require_feasible(study, chain)
+    sets = [
+        record_samples(study, chain, design, m)
+        for design, m in sample_sets(study).values()
+        if design != "adaptive"
+    ]
+    cache = (results or Path("results") / study.name) / "cache"
+    cached = trained_before(study, sets, cache) if cache.is_dir() else {}
+    typer.echo(plan_text(study, plan_study(study, cached), cores))
+
+
+@app.command()
 def samples(
     study_file: StudyFile,
     name: Annotated[str, typer.Option(help="Which set of samples, such as grid5 or sobol125.")],

@@ -43,7 +43,8 @@ def train(
         sample_sets: The samples, one set per grid.
         outputs: The folder of each set.
         cache: Folder of trained seeds; None: keep none.
-        progress: Report on stderr: a bar in a terminal, else a line per set.
+        progress: Report on stderr: a bar in a terminal, else a line per set, under the name
+            of its folder and the one above.
     """
     engine = choose_engine(study)
     store = Cache(cache)
@@ -63,10 +64,11 @@ def train(
             sample_sets, outputs, keys, found, missing, strict=True
         ):
             start = time.perf_counter()
+            name = f"{folder.parent.name}/{samples.label}"
             for first in range(0, len(seeds), SEEDS_AT_ONCE):
                 part = seeds[first : first + SEEDS_AT_ONCE]
                 if bar:
-                    bar.set_description(samples.label)
+                    bar.set_description(name)
                 record = _fit(study, samples, part, engine, bar)
                 store.add(key, record)
                 records.append(record)
@@ -78,11 +80,23 @@ def train(
                 old = len(study.seeds) - len(seeds)
                 kept = f" ({old} from the cache)" if old else ""
                 print(
-                    f"{samples.label}: {samples.n_samples} samples, {len(study.seeds)} seeds{kept},"
+                    f"{name}: {samples.n_samples} samples, {len(study.seeds)} seeds{kept},"
                     f" {study.training.epochs} epochs, {took}",
                     file=sys.stderr,
                 )
     store.prune(keys)
+
+
+def count_trained(study: Study, samples: SampleSet, cache: Path) -> int:
+    """How many of the study's seeds a cache holds.
+
+    Args:
+        study: The study.
+        samples: What they are trained on.
+        cache: The folder ``train`` is given.
+    """
+    records = Cache(cache).load(cache_key(study, samples, choose_engine(study)), study.seeds)
+    return sum(len(record.seeds) for record in records)
 
 
 def choose_engine(study: Study) -> str:

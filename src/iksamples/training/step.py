@@ -1,13 +1,13 @@
 """The training step of a whole study: every network of it, on every set of samples."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 from iksamples.training.problem import held_out_counts
-from iksamples.training.run import train
+from iksamples.training.run import count_trained, train
 
 
 def train_study(
@@ -28,16 +28,33 @@ def train_study(
         progress: Report on stderr.
         methods: Only these; None: all networks.
     """
-    for method in methods or networks(study):
+    for method, samples, own in _trainings(study, sample_sets, methods or networks(study)):
+        place = Path(method) / samples.label
+        train(own, [samples], [output / place], cache / place if cache else None, progress)
+
+
+def trained_before(study: Study, sample_sets: Sequence[SampleSet], cache: Path) -> dict[str, int]:
+    """How many networks of each method the cache holds, so that they are not trained again.
+
+    Args:
+        study: The study.
+        sample_sets: The samples.
+        cache: The cache that ``train_study`` is given.
+    """
+    found = dict.fromkeys(networks(study), 0)
+    for method, samples, own in _trainings(study, sample_sets, networks(study)):
+        found[method] += count_trained(own, samples, cache / method / samples.label)
+    return found
+
+
+def _trainings(
+    study: Study, sample_sets: Sequence[SampleSet], methods: Sequence[str]
+) -> Iterator[tuple[str, SampleSet, Study]]:
+    """Every method with every set of samples, and the study as if it had that method alone."""
+    for method in methods:
         held_out = study.all_methods[method].training.held_out
         for samples in sample_sets:
             n_trained = samples.n_samples
             if held_out.source == "grid":
                 n_trained -= sum(held_out_counts(n_trained, held_out))
-            train(
-                study.for_method(method, n_trained),
-                [samples],
-                [output / method / samples.label],
-                cache / method / samples.label if cache else None,
-                progress,
-            )
+            yield method, samples, study.for_method(method, n_trained)

@@ -1,0 +1,277 @@
+"""What a study will take before it is started: networks, time and memory.
+
+The costs are those of one core of the machine in ``docs/benchmarks.md``, read off its runs of the
+studies in ``config``; another machine may take half or twice as long.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from iksamples.results import certified, networks, sample_sets
+from iksamples.study import Method, Study, Training
+from iksamples.training.problem import held_out_counts
+from iksamples.training.run import LARGE_NETWORK
+
+
+@dataclass(frozen=True)
+class MethodPlan:
+    """Training of one method on all sets of samples.
+
+    Attributes:
+        method: Its name.
+        networks: Networks in all.
+        to_train: Those that are not in the cache of trained seeds.
+        steps: Optimiser steps (iterations of Levenberg-Marquardt) of those to train, if none
+            stops early.
+        seconds: Expected time of training [s].
+    """
+
+    method: str
+    networks: int
+    to_train: int
+    steps: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class StepPlan:
+    """One step of the workflow.
+
+    Attributes:
+        step: Its name.
+        jobs: Jobs.
+        seconds: Expected time of one core, all jobs together [s].
+        longest_s: Expected time of the longest job [s].
+        memory_mb: Expected memory of the largest job [MB].
+    """
+
+    step: str
+    jobs: int
+    seconds: float
+    longest_s: float
+    memory_mb: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a study will take.
+
+    Attributes:
+        methods: The methods that are trained.
+        steps: The steps of the workflow, in their order.
+    """
+
+    methods: list[MethodPlan]
+    steps: list[StepPlan]
+
+    def seconds(self, cores: int) -> float:
+        """Expected time with some cores [s].
+
+        Training is one job that all others but the recording of samples wait for; the others share
+        the cores.
+        """
+        parts = {step.step: step for step in self.steps}
+        alone = parts["samples"].seconds / cores + parts["train"].seconds
+        rest = [step for step in self.steps if step.step not in ("samples", "train")]
+        shared = sum(step.seconds for step in rest) / cores
+        return alone + max(shared, max(step.longest_s for step in rest))
+
+    @property
+    def memory_mb(self) -> float:
+        """Expected memory of the largest job [MB]."""
+        return max(step.memory_mb for step in self.steps)
+
+
+def plan_study(study: Study, cached: dict[str, int] | None = None) -> Plan:
+    """What a study will take.
+
+    Args:
+        study: The study.
+        cached: Networks of each method that need not be trained again.
+    """
+    cached = cached or {}
+    sets = sample_sets(study)
+    methods = [
+        _training(study, name, [m**3 for _, m in sets.values()], cached.get(name, 0))
+        for name in networks(study)
+    ]
+    return Plan(methods, list(_steps(study, methods)))
+
+
+def plan_text(study: Study, plan: Plan, cores: int) -> str:
+    """A plan as people read it.
+
+    Args:
+        study: The study.
+        plan: Its plan.
+        cores: Cores it will have.
+    """
+    sets = sample_sets(study)
+    sizes = sorted({m**3 for _, m in sets.values()})
+    wide = max(len("all methods"), *(len(one.method) for one in plan.methods))
+    rows = [f"{'method':{wide}}  networks  to train  steps at most  training"]
+    total = MethodPlan(
+        "in all",
+        sum(one.networks for one in plan.methods),
+        sum(one.to_train for one in plan.methods),
+        sum(one.steps for one in plan.methods),
+        sum(one.seconds for one in plan.methods),
+    )
+    for one in (*plan.methods, total):
+        rows.append(
+            f"{one.method:{wide}}  {one.networks:8d}  {one.to_train:8d}  {one.steps:13,d}  "
+            f"{in_words(one.seconds):>8}".replace(",", " ")
+        )
+    jobs = sum(step.jobs for step in plan.steps)
+    head = (
+        f"{study.name}: {len(study.all_methods)} methods on {len(sets)} sets of {sizes[0]} to "
+        f"{sizes[-1]} samples, {jobs} jobs"
+    )
+    tail = (
+        f"Expected: about {in_words(plan.seconds(cores))} with {cores} core{'s' * (cores > 1)}, "
+        f"{plan.memory_mb / 1000:.1f} GB of memory for the largest job.\n"
+        "That is as on the machine of docs/benchmarks.md, from nothing; another may take half or "
+        "twice as long."
+    )
+    return "\n".join([head, "", *rows, "", tail])
+
+
+def in_words(seconds: float) -> str:
+    """A time as people say it: ``8 s``, ``3 min``, ``1.5 h``."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
+
+
+# Seconds of one core. A job's start is Python with what it imports.
+_START = {"samples": 0.5, "train": 7.0, "evaluate": 1.3, "bounds": 1.2, "prove": 0.8, "map": 1.0}
+_START |= {
+    "table": 0.5,
+    "answer": 1.5,
+    "calibrate": 7.0,
+    "track": 3.0,
+    "record": 1.0,
+    "report": 5.0,
+}
+_FIT = 0.03
+"""Start of one training of all seeds."""
+_EPOCH = 18e-6
+"""Of the fused engine, beside its steps."""
+_FLOPS = {"relu": 2.4e10, "tanh": 2.0e10}
+"""Of the fused engine, per second."""
+_STACKED_STEP, _STACKED_FLOPS = 5e-4, 1e10
+"""Of the reference engine: a step of the whole stack, and floating-point operations per second."""
+_ITERATION, _GRAM, _SOLVE = 5e-5, 1e10, 1.5e10
+"""Of Levenberg-Marquardt, per seed: an iteration, and operations per second of its two products."""
+_POINT = 1e-6
+"""Evaluation of one network at one point, written to disk."""
+_PROOF = {"adam": 0.07, "levenberg-marquardt": 0.5}
+"""Worst case and mean of one network of 115 weights, proved and checked."""
+_RUN = 0.06
+"""Logging of one network to MLflow."""
+_ADAPTIVE = 12.0
+"""Training of the networks that choose one adaptive set."""
+_TRAINING_MB, _OTHER_MB = 650.0, 320.0
+"""Memory of a job with little to do: with Lightning, and without."""
+
+
+def _training(study: Study, name: str, sizes: list[int], cached: int) -> MethodPlan:
+    method = study.all_methods[name]
+    seeds = method.training.seeds
+    n_networks = seeds * len(sizes)
+    share = 1 - cached / n_networks
+    steps, seconds = 0, 0.0
+    for n in sizes:
+        if method.training.held_out.source == "grid":
+            n -= sum(held_out_counts(n, method.training.held_out))
+        epochs = study.for_method(name, n).training.epochs
+        per_epoch = _steps_per_epoch(method.training, n)
+        steps += seeds * epochs * per_epoch
+        seconds += _FIT + _fit_seconds(method, n, epochs, epochs * per_epoch)
+    return MethodPlan(name, n_networks, n_networks - cached, round(steps * share), seconds * share)
+
+
+def _fit_seconds(method: Method, n: int, epochs: int, steps: int) -> float:
+    """Expected time of training all seeds of a method on n samples."""
+    training, weights = method.training, _weights(method)
+    if training.optimizer == "levenberg-marquardt":
+        products = 3 * n * weights**2 / _GRAM + weights**3 / _SOLVE
+        return training.seeds * epochs * (_ITERATION + products)
+    operations = 6.0 * min(training.batch_size, n) * weights * training.seeds * steps
+    if training.engine == "reference" or weights > LARGE_NETWORK:
+        return steps * _STACKED_STEP + operations / _STACKED_FLOPS
+    return epochs * _EPOCH + operations / _FLOPS[method.network.activation]
+
+
+def _steps_per_epoch(training: Training, n: int) -> int:
+    if training.optimizer == "levenberg-marquardt":
+        return 1
+    return -(-n // training.batch_size)
+
+
+def _weights(method: Method) -> int:
+    """Weights and biases of a network from positions to three joints."""
+    widths = (3, *method.network.hidden, 3)
+    return sum((a + 1) * b for a, b in pairwise(widths))
+
+
+def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
+    """The workflow's steps, as if none of their files were there yet."""
+    n_sets, plans = len(sample_sets(study)), {plan.method: plan for plan in methods}
+    points = study.evaluation.cube_points + sum(
+        path.waypoints for path in study.evaluation.paths.values()
+    )
+    n_networks = plans["network"].networks
+    evaluations = [
+        _POINT * points * (plans[name].networks if name in plans else n_sets)
+        for name in study.all_methods
+    ]
+    proofs = []
+    for name in certified(study):
+        method = study.all_methods[name]
+        per_network = _PROOF[method.training.optimizer] * _weights(method) / 115
+        proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
+    work = {
+        "samples": [
+            _ADAPTIVE if design == "adaptive" else 0.0 for design, _ in sample_sets(study).values()
+        ],
+        "train": [sum(plan.seconds for plan in methods)],
+        "evaluate": evaluations,
+        "bounds": [0.01 * n_networks],
+        "prove": proofs,
+        "map": [0.4 * n_sets],
+        "table": [0.0],
+        "answer": [0.1 * len(study.all_methods) * len(study.samples.designs)],
+        "track": [_RUN * n_networks],
+        "record": [0.5] * len(study.evaluation.paths),
+        "report": [1.0],
+    }
+    if study.calibration.seeds:
+        fresh = 2 * study.calibration.seeds * len(methods)
+        share = fresh / sum(plan.networks for plan in methods)
+        work["calibrate"] = [share * (work["train"][0] + sum(proofs) + sum(evaluations))]
+    for step, jobs in work.items():
+        seconds = [_START[step] + own for own in jobs]
+        memory = _training_mb(study) if step in ("train", "calibrate") else _OTHER_MB
+        yield StepPlan(step, len(jobs), sum(seconds), max(seconds), memory)
+
+
+def _training_mb(study: Study) -> float:
+    """Memory of the training job: the stack of one method, its history and its snapshots."""
+    largest = 0.0
+    for name, method in study.all_methods.items():
+        if method.kind != "network":
+            continue
+        training, weights = method.training, _weights(method)
+        n = max(study.samples.points_per_axis) ** 3
+        epochs = study.for_method(name, n).training.epochs
+        if training.steps:
+            epochs = study.for_method(name, min(study.samples.points_per_axis) ** 3).training.epochs
+        stack = 4.0 * training.seeds * weights * (4 + training.snapshots)
+        if training.optimizer == "levenberg-marquardt":
+            stack += 3 * 8.0 * training.seeds * weights**2
+        history = 60.0 * training.seeds * epochs
+        largest = max(largest, stack + history)
+    return _TRAINING_MB + largest / 1e6

@@ -1,0 +1,92 @@
+"""A plan against what a study then does."""
+
+import pandas as pd
+import pytest
+
+from iksamples.plan import in_words, plan_study, plan_text
+from iksamples.results import sample_sets
+from iksamples.samples.record import record_samples
+from iksamples.study import parse_study
+from iksamples.training.step import train_study, trained_before
+
+
+SETTINGS = {
+    "name": "planned",
+    "samples": {"points_per_axis": [2, 3]},
+    "training": {"seeds": 3, "epochs": 4, "snapshots": 2},
+    "methods": {
+        "steps": {"training": {"steps": 30, "seeds": 2}},
+        "held-out": {"training": {"held_out": {"source": "grid", "validation_share": 0.2}}},
+        "second": {"training": {"optimizer": "levenberg-marquardt", "epochs": 3}},
+        "table": {"kind": "multilinear"},
+    },
+}
+
+
+def test_networks_and_steps_are_those_that_are_trained(tmp_path, chain):
+    study = parse_study(SETTINGS)
+    sets = [record_samples(study, chain, *one) for one in sample_sets(study).values()]
+    before = plan_study(study)
+    train_study(study, sets, tmp_path, tmp_path / "cache")
+    assert [one.method for one in before.methods] == ["network", "steps", "held-out", "second"]
+    for one in before.methods:
+        members = pd.concat(
+            pd.read_parquet(tmp_path / one.method / samples.label / "members.parquet")
+            for samples in sets
+        )
+        assert one.networks == one.to_train == len(members)
+        assert one.steps == members["steps"].sum()
+        assert one.seconds > 0
+
+    # Now that all is trained, and with one seed more.
+    more = {**SETTINGS, "training": {**SETTINGS["training"], "seeds": 4}}
+    for settings, missing in ((SETTINGS, [0, 0, 0, 0]), (more, [2, 0, 2, 2])):
+        again = parse_study(settings)
+        plan = plan_study(again, trained_before(again, sets, tmp_path / "cache"))
+        assert [one.to_train for one in plan.methods] == missing
+        assert [one.steps == 0 for one in plan.methods] == [not n for n in missing]
+
+
+def test_more_of_anything_takes_longer():
+    def seconds(**settings):
+        return plan_study(parse_study({"name": "s", **settings})).seconds(2)
+
+    paper = seconds()
+    for more in (
+        {"training": {"epochs": 500_000}},
+        {"training": {"seeds": 2000}},
+        {"network": {"hidden": [512]}},
+        {"training": {"optimizer": "levenberg-marquardt"}},
+        {"training": {"engine": "reference"}},
+        {"samples": {"points_per_axis": [2, 3, 4, 5, 6, 7, 8, 16]}},
+        {"samples": {"designs": ["grid", "adaptive"]}},
+        {"methods": {"cubic": {"kind": "cubic"}}},
+        {"calibration": {"seeds": 1000}},
+    ):
+        assert seconds(**more) > paper, more
+    large = parse_study({"name": "s", "network": {"hidden": [512, 512]}})
+    assert plan_study(large).memory_mb > plan_study(parse_study({"name": "s"})).memory_mb
+
+
+def test_one_core_takes_longer_than_two():
+    plan = plan_study(parse_study({"name": "s"}))
+    assert plan.seconds(1) > plan.seconds(2) > plan.seconds(2000)
+    assert plan.seconds(2000) >= max(step.longest_s for step in plan.steps)
+
+
+def test_the_text_adds_up():
+    study = parse_study(SETTINGS)
+    plan = plan_study(study)
+    text = plan_text(study, plan, 2)
+    assert "5 methods on 2 sets of 8 to 27 samples" in text
+    row = next(line for line in text.splitlines() if line.startswith("in all")).split()
+    networks, steps = (sum(getattr(m, key) for m in plan.methods) for key in ("networks", "steps"))
+    assert row[2:5] == [str(networks), str(networks), str(steps)]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.2, "1 s"), (89, "89 s"), (90, "2 min"), (3600, "60 min"), (9000, "2.5 h")],
+)
+def test_times_in_words(seconds, text):
+    assert in_words(seconds) == text
