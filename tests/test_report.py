@@ -278,7 +278,8 @@ def test_the_twin_is_a_table_of_equal_rows(built: tuple[Study, Path, Path]) -> N
 def test_the_verdict_says_what_the_table_says(built: tuple[Study, Path, Path]) -> None:
     table = pd.read_csv(built[1] / "table.csv")
     page = html.parse(built[2] / "index.html").getroot()
-    errors, claims = (p.text_content() for p in page.xpath("//section[@id='verdict']/p"))
+    lines = page.xpath("//section[@id='verdict']/p")
+    errors, claims = (p.text_content().replace("\u00a0", " ") for p in lines)
     assert f"{table['error_mean_mm'].iloc[0]:.2f} mm on average with 8 samples" in errors
     assert f"{table['error_mean_mm'].iloc[-1]:.2f} mm with 729 (mean of 7 seeds)" in errors
     ratio = table["error_mean_mm"] / table["paper_error_mm"]

@@ -13,8 +13,14 @@ from test_report import ROOT, SMALL, cells_of, finished, random_features
 
 from iksamples.bounds.certify_step import certify
 from iksamples.evaluation.step import evaluate
-from iksamples.report import sections_answer, sections_certified, sections_claims, sections_methods
-from iksamples.report.blocks import Number, Table
+from iksamples.report import (
+    sections_answer,
+    sections_certified,
+    sections_changes,
+    sections_claims,
+    sections_methods,
+)
+from iksamples.report.blocks import Number, Table, Text
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
 from iksamples.report.wording import typeset
@@ -22,10 +28,11 @@ from iksamples.report.write import write_report
 from iksamples.results import cells
 from iksamples.robot.workspace import study_chain
 from iksamples.sizing.answer import Answer, read_answer
+from iksamples.sizing.calibration import calibrate, to_json
 from iksamples.sizing.finding import samples_needed
-from iksamples.sizing.outcomes import all_cells, certificates, outcomes
+from iksamples.sizing.outcomes import Line, all_cells, certificates, outcomes
 from iksamples.sizing.size import answer_study
-from iksamples.study import Study
+from iksamples.study import Calibration, Method, Study, parse_study
 
 
 pytestmark = pytest.mark.slow
@@ -96,6 +103,7 @@ def test_the_answer_comes_first(answered: tuple[Study, Path, Path], data: Report
     page = html.parse(answered[2] / "index.html").getroot()
     lines = [p.text_content() for p in page.xpath("//section[@id='verdict']/p")]
     headline = read_answer(answered[1]).headline
+    lines = [line.replace("\u00a0", " ") for line in lines]
     assert lines[0] == headline.replace("'", "’")
     assert "125 samples and a look-up table of the same samples" in lines[0]
     assert lines[1:] == verdict(with_answer(data, None))
@@ -185,6 +193,107 @@ def test_readings_within_the_papers_spread_are_marked(data: ReportData) -> None:
     row = next(row for row in table.rows if row[0] == "other")
     assert [str(cell).startswith("**") for cell in row[1:5]] == [True, True, False, True]
     assert str(row[5]) == "3"
+
+
+def with_errors(data: ReportData, factors: dict[int, float], scatter: float = 0.0) -> ReportData:
+    """The other network's errors as multiples of the study's own, by number of samples."""
+    errors = data.every_error.copy()
+    here, own = errors["method"] == "other", errors["method"] == "network"
+    wobble = 1 + scatter * (-1.0) ** errors["seed"]
+    for quantity in ("path_mm", "worst_mm"):
+        base = errors[own].set_index(["n_samples", "seed"])[quantity]
+        mine = base.reindex(pd.MultiIndex.from_frame(errors[["n_samples", "seed"]])).to_numpy()
+        factor = errors["n_samples"].map(factors) * wobble
+        errors.loc[here, quantity] = (mine * factor)[here]
+    changed = replace(data)
+    changed.__dict__["every_error"] = errors
+    return changed
+
+
+def test_each_change_gets_its_ratio_and_its_paragraph(data: ReportData) -> None:
+    section = sections_changes.what_each_change_does(
+        with_errors(data, {8: 0.5, 27: 1.0, 64: 1.3, 125: 0.8})
+    )
+    assert section is not None
+    [row] = table_of(section, "table-changes").rows
+    assert row == ["other", *(["**50**", "100", "**130**", "**80**"] * 2)]
+    paragraph = str([block for block in section.blocks if isinstance(block, Text)][1].text)
+    assert paragraph.startswith("**other**: 12 neurons instead of 16 neurons. Its mean error on ")
+    assert (
+        "is 50 % (50 % to 50 %) of the study’s own with 8 samples and 80 % (80 % to 80" in paragraph
+    )
+    assert "It is smaller at 2 of 4 sizes, larger at 1 and equal at 1." in paragraph
+
+
+def test_a_difference_within_the_scatter_is_none(data: ReportData) -> None:
+    section = sections_changes.what_each_change_does(
+        with_errors(data, dict.fromkeys((8, 27, 64, 125), 1.0), scatter=0.2)
+    )
+    assert section is not None
+    [row] = table_of(section, "table-changes").rows
+    assert not any("**" in str(cell) for cell in row)
+    assert "lost in the scatter of the seeds at 4" in str(section.blocks[-1])
+
+
+def test_no_other_network_no_changes(data: ReportData) -> None:
+    methods = {"table": data.study.methods["table"]}
+    alone = replace(data, study=data.study.model_copy(update={"methods": methods}))
+    assert sections_changes.what_each_change_does(alone) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"network": {"hidden": [8, 8]}}, ["8-8 neurons instead of 16 neurons"]),
+        ({"network": {"activation": "tanh"}}, ["tanh instead of ReLU"]),
+        (
+            {"training": {"steps": 32000}},
+            ["32\u202f000 optimiser steps at every size instead of 500 epochs"],
+        ),
+        (
+            {"training": {"batch_size": 1, "learning_rate": 0.01}},
+            ["a learning rate of 0.01 instead of 0.001", "batches of 1 instead of 8"],
+        ),
+        (
+            {"training": {"early_stopping": {"patience": 7}}},
+            ["early stopping after 7 epochs without progress"],
+        ),
+        (
+            {"training": {"held_out": {"source": "grid"}}},
+            ["validation and test points among the samples instead of at fresh points"],
+        ),
+        ({"training": {"seeds": 3, "engine": "reference"}}, []),
+    ],
+)
+def test_differences_in_words(changed: dict[str, object], words: list[str]) -> None:
+    other = parse_study({"name": "s", "methods": {"other": changed}}).methods["other"]
+    assert sections_changes.differences(Method(), other) == words
+
+
+def test_fresh_trainings_are_printed(data: ReportData) -> None:
+    assert sections_answer.fresh_trainings(data) is None
+    study = data.study.model_copy(update={"calibration": Calibration(seeds=200)})
+    fresh = pd.DataFrame(
+        [
+            {"label": f"grid{m}", "n_samples": m**3, "error_mm": 1.0 if seed < met else 9.0}
+            for m, met in ((3, 40), (4, 190))
+            for seed in range(200)
+        ]
+    )
+    found = calibrate(study.tolerance, fresh, Line("other", "grid"), 64, 27)
+    file = data.results / "calibration.json"
+    file.write_text(to_json([found]))
+    try:
+        section = sections_answer.fresh_trainings(replace(data, study=study))
+    finally:
+        file.unlink()
+    assert section is not None
+    rows = [[str(cell) for cell in row] for row in table_of(section, "table-fresh").rows]
+    assert [row[1:6] for row in rows] == [
+        ["64", "the answer", "200", "190", "95.0"],
+        ["27", "one rung below", "200", "40", "20.0"],
+    ]
+    assert "The answer keeps its word" in str(section.blocks[0])
 
 
 def test_the_certificates_are_printed(answered: tuple[Study, Path, Path]) -> None:

@@ -44,8 +44,8 @@ def what_each_change_does(data: ReportData) -> Section | None:
     sizes = [grid.n for grid in data.grids]
     columns = [
         Column("change", text=True),
-        *(Column(thousands(n), "%", group="mean error on the path") for n in sizes),
-        *(Column(thousands(n), "%", group="worst error in the workspace") for n in sizes),
+        *(Column(thousands(n), group="mean error on the path [%]") for n in sizes),
+        *(Column(thousands(n), group="worst error in the workspace [%]") for n in sizes),
     ]
     caption = (
         "Error as a share of the study’s own network’s, by samples: median over paired seeds; "
@@ -152,7 +152,7 @@ def _paragraph(
     what = differences(study.all_methods[NETWORK], study.all_methods[name])
     head = f"**{name}**: {joined(what)}" if what else f"**{name}**"
     path = pairs["path_mm"]
-    first, last = path.iloc[0], path.iloc[-1]
+    first, last = path.iloc[0], path.iloc[-1]  # fewest and most samples
     errors = f"Its mean error on the path is {_ratio(first)} of the study’s own"
     if len(path) > 1:
         errors += f" with {_samples(first)} and {_ratio(last)} with {_samples(last)}"
@@ -170,6 +170,8 @@ def _samples(row: "pd.Series[float]") -> str:
 
 def _ratio(row: "pd.Series[float]") -> str:
     share = percent(float(row["ratio"]))
+    if row["ratio_low"] == row["ratio_high"] == 1:
+        return f"{share} (the very same networks)"
     if not np.isfinite(row["ratio_low"]):
         return share
     return f"{share} ({percent(float(row['ratio_low']))} to {percent(float(row['ratio_high']))})"
@@ -180,13 +182,16 @@ def _how_often(path: pd.DataFrame) -> str:
     better, worse = int((path["ratio_high"] < 1).sum()), int((path["ratio_low"] > 1).sum())
     if not np.isfinite(path["ratio_low"]).any():
         return "So few seeds cannot say how sure that is."
-    counts = [f"smaller at {better}", f"larger at {worse}"]
-    open_ = len(path) - better - worse
-    return (
-        f"Of {len(path)} sizes it is {joined(counts)}"
-        + (f", and at {open_} the seeds’ scatter hides any difference" if open_ else "")
-        + "."
-    )
+    sizes = len(path)
+    if sizes in (better, worse) and sizes > 1:
+        return f"It is {'smaller' if better else 'larger'} at all {sizes} sizes."
+    counts = f"smaller at {better or 'none'} of {sizes} sizes, larger at {worse or 'none'}"
+    same = int(((path["ratio_low"] == 1) & (path["ratio_high"] == 1)).sum())
+    unclear = sizes - better - worse - same
+    more = [f"equal at {same}"] if same else []
+    if unclear:
+        more.append(f"lost in the scatter of the seeds at {unclear}")
+    return f"It is {joined([counts, *more]) if more else counts}."
 
 
 def _levelling(data: ReportData, theirs: pd.DataFrame, own: pd.DataFrame) -> str:
@@ -213,6 +218,9 @@ def _falls(value: float) -> str:
 
 def _extra_steps(data: ReportData, name: str) -> str:
     """How many times the study's optimiser steps a network takes, where it is not as many."""
+    methods = data.study.all_methods
+    if methods[name].training.optimizer != methods[NETWORK].training.optimizer:
+        return ""  # steps of different kinds
     ratios = []
     for grid in (data.grids[0], data.grids[-1]):
         cell = Cell(data.results, name, grid.samples.label)

@@ -161,6 +161,8 @@ def _environment() -> Environment:
 def _marks(text: str) -> Markup:
     """The four marks of a text as HTML: `code`, **strong**, ^raised^, [link](target)."""
     html = str(escape(text))
+    # A number and its unit stay on one line.
+    html = re.sub(r"(?<=\d) (?=%|mm\b)", "\u00a0", html)
     html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
     html = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html)
     html = re.sub(r"\^([^^]+)\^", r"<sup>\1</sup>", html)

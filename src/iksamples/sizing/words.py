@@ -86,9 +86,9 @@ def millimetres(value: float) -> str:
     """A length with three figures: ``1.60 mm``, ``12.3 mm``."""
     if value == 0:
         return "0 mm"
+    if abs(value) < 1e-6:
+        return "less than 1 nm"  # rounding, not an error
     digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    if digits > 6:
-        return f"{value:.1e} mm"
     return f"{value:.{digits}f} mm"
 
 
