@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from iksamples.bounds import claims, paper
-from iksamples.bounds.claims import Ends, Evidence, GridEvidence
+from iksamples.bounds.evidence import Ends, Evidence, GridEvidence
 from iksamples.robot.chain import load_urdf
 
 

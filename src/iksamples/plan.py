@@ -171,7 +171,7 @@ _PROOF = {"adam": 0.07, "levenberg-marquardt": 0.5}
 """Worst case and mean of one network of 115 weights, proved and checked."""
 _RUN = 0.06
 """Logging of one network to MLflow."""
-_ADAPTIVE = 12.0
+_ADAPTIVE = 9.0
 """Training of the networks that choose one adaptive set."""
 _TRAINING_MB, _OTHER_MB = 650.0, 320.0
 """Memory of a job with little to do: with Lightning, and without."""

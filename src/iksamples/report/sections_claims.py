@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 
 from iksamples.bounds.audit import input_jacobian, scale_mm
-from iksamples.bounds.claims import Ends, Evidence, GridEvidence, judge_claims
+from iksamples.bounds.claims import judge_claims
+from iksamples.bounds.evidence import Ends, Evidence, GridEvidence
 from iksamples.evaluation.errors import send
 from iksamples.report.blocks import Block, Column, Section, Table, Text
 from iksamples.report.data import Grid, ReportData
