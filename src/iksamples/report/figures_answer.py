@@ -1,6 +1,7 @@
 """Drawings that compare methods: samples needed against tolerance, and errors against samples."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -56,15 +57,53 @@ def legend_name(study: Study, method: str) -> str:
     return "look-up table (baseline)" if is_table else method
 
 
+@dataclass(frozen=True)
+class Lines:
+    """What the lines of a comparison are, and what its panels.
+
+    Samples of one design: a line per method, in one panel. Of several: a panel per method, and a
+    line per design, since those are then what is to be compared.
+
+    Attributes:
+        column: Column that tells the lines apart, ``method`` or ``design``.
+        names: Its values, a line each.
+        labels: What the legend calls them.
+        looks: How each is drawn.
+        across: The other column.
+        panels: Its values, a panel each.
+        titles: What the panels are called.
+    """
+
+    column: str
+    names: list[str]
+    labels: list[str]
+    looks: dict[str, dict[str, Any]]
+    across: str
+    panels: list[str]
+    titles: list[str]
+
+    def rows(self, table: pd.DataFrame, panel: str, name: str) -> pd.DataFrame:
+        """The rows of a table that a line in a panel is drawn from."""
+        return table[(table[self.across] == panel) & (table[self.column] == name)]
+
+
+def lines_of(study: Study, table: pd.DataFrame) -> Lines:
+    """The lines for a table with the columns method and design; the exact inverse is left out."""
+    kinds = {name: method.kind for name, method in study.all_methods.items()}
+    methods = [name for name in kinds if kinds[name] != "analytic" and _in(table, "method", name)]
+    designs = [str(name) for name in study.samples.designs if _in(table, "design", name)]
+    names = [legend_name(study, name) for name in methods]
+    if len(study.samples.designs) == 1:
+        return Lines("method", methods, names, looks(study), "design", designs, designs)
+    return Lines("design", designs, designs, _design_looks(designs), "method", methods, names)
+
+
 @style.styled
 def samples_needed(data: ReportData, table: pd.DataFrame) -> Figure:
-    """Samples needed against tolerance, a panel per design and a line per method."""
-    study = data.study
-    designs = [name for name in study.samples.designs if name in set(table["design"])]
-    learned = [name for name, method in study.all_methods.items() if method.kind != "analytic"]
-    table = table[table["method"].isin(learned)]
-    figure, flat, names = _panels(designs, study, [name for name in learned if _in(table, name)])
-    look = looks(study)
+    """Samples needed against tolerance: a line per method, or per design in panels of methods."""
+    study, lines = data.study, lines_of(data.study, table)
+    table = table[table["method"].map(lambda name: study.all_methods[name].kind) != "analytic"]
+    figure, flat = _panels(lines.titles, len(lines.names))
     low, high = table["tolerance_mm"].min(), table["tolerance_mm"].max()
     wish = study.tolerance.error_mm
     low, high = min(low, wish) / 1.15, max(high, wish) * 1.15
@@ -72,10 +111,10 @@ def samples_needed(data: ReportData, table: pd.DataFrame) -> Figure:
     ladder = sorted(float(n) for n in data.table["n_samples"].unique())
     top = max([*shown["n_samples"], *data.table["n_samples"]])
     bottom = min([*shown["n_samples"], *data.table["n_samples"]])
-    for axis, design in zip(flat, designs, strict=True):
-        for name in names:
-            rows = shown[(shown["method"] == name) & (shown["design"] == design)]
-            _stairs(axis, rows.sort_values("tolerance_mm"), look[name])
+    for axis, panel in zip(flat, lines.panels, strict=True):
+        for name in lines.names:
+            rows = lines.rows(shown, panel, name)
+            _stairs(axis, rows.sort_values("tolerance_mm"), lines.looks[name])
         axis.axvline(wish, color=style.TARGET, lw=1, ls=(0, (1, 1.5)), zorder=1)
         axis.annotate(
             f"asked for: {wish:g} mm",
@@ -94,50 +133,56 @@ def samples_needed(data: ReportData, table: pd.DataFrame) -> Figure:
         sizes = [*ladder, *style.decades(1.5 * ladder[-1], top)]
         style.number_ticks(axis, "y", _thinned(sizes, bottom, top))
         axis.set_ylim(bottom / 1.3, top * 1.3)
-        axis.set_xlabel(f"tolerance [mm], {_error_words(study)}")
+        error = error_words(study)
+        axis.set_xlabel(f"tolerance [mm], {error}" if len(flat) == 1 else "tolerance [mm]")
         axis.set_ylabel("samples needed n")
-    _legend(figure, study, names)
+    _legend(figure, lines)
     return figure
 
 
 @style.styled
-def errors_of_methods(
-    data: ReportData, quantities: Sequence[str], designs: Sequence[str]
-) -> Figure:
-    """Errors over the workspace against the number of samples, a line per method.
+def errors_of_methods(data: ReportData, quantities: Sequence[str]) -> Figure:
+    """Errors over the workspace against the number of samples, as ``Lines`` says.
 
     Args:
         data: The report's data.
-        quantities: Columns of ``ReportData.every_error``, one panel each for every design.
-        designs: Which designs.
+        quantities: Columns of ``ReportData.every_error``, one panel each for every panel of
+            ``Lines``.
     """
-    table = data.every_error
-    kinds = {name: method.kind for name, method in data.study.all_methods.items()}
-    table = table[table["method"].map(kinds) != "analytic"]
-    present = [name for name in kinds if _in(table, name)]
+    table, lines = data.every_error, lines_of(data.study, data.every_error)
+    table = table[table["method"].map(lambda name: data.study.all_methods[name].kind) != "analytic"]
     many = len(quantities) > 1
-    panels = [(q, d) for d in designs for q in quantities]
-    titles = [q if many else d for q, d in panels]
-    figure, flat, names = _panels(titles, data.study, present)
-    look = looks(data.study)
-    values = table.loc[table["design"].isin(designs), list(quantities)].to_numpy()
+    panels = [(q, panel) for panel in lines.panels for q in quantities]
+    titles = [_quantity_name(q) for q in quantities] if many else lines.titles
+    figure, flat = _panels(titles, len(lines.names))
+    values = table[list(quantities)].to_numpy()
     low, high = float(np.min(values[values > 0])) / 1.3, float(np.max(values)) * 1.3
     sizes = sorted(table["n_samples"].unique())
-    for axis, (quantity, design) in zip(flat, panels, strict=True):
-        for name in names:
-            rows = table[(table["method"] == name) & (table["design"] == design)]
+    for axis, (quantity, panel) in zip(flat, panels, strict=True):
+        for name in lines.names:
+            rows = lines.rows(table, panel, name)
             if len(rows):
-                _medians(axis, rows, quantity, look[name])
+                _medians(axis, rows, quantity, lines.looks[name])
         style.number_ticks(axis, "x", _thinned([float(n) for n in sizes], sizes[0], sizes[-1]))
         axis.set_xlim(sizes[0] / 1.3, sizes[-1] * 1.3)
         style.number_ticks(axis, "y", style.decades(low, high, _steps(low, high)))
         axis.set_ylim(low, high)
         axis.set_xlabel("number of samples n")
         axis.set_ylabel(QUANTITIES[quantity])
-        if many:
-            axis.set_title(QUANTITIES[quantity].split(" [")[0].capitalize())
-    _legend(figure, data.study, names)
+    _legend(figure, lines)
     return figure
+
+
+def _quantity_name(quantity: str) -> str:
+    return QUANTITIES[quantity].split(" [")[0].capitalize()
+
+
+def _design_looks(designs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The first design in the colour of the text: the others are held against it."""
+    found: dict[str, dict[str, Any]] = {designs[0]: {"color": style.SAMPLE, "lw": 2.3, "zorder": 5}}
+    for design, colour in zip(designs[1:], _COLOURS, strict=False):
+        found[design] = {"color": colour, "lw": 1.5, "zorder": 3}
+    return found
 
 
 def _medians(axis: Axes, rows: pd.DataFrame, quantity: str, look: dict[str, Any]) -> None:
@@ -171,12 +216,10 @@ def _stairs(axis: Axes, rows: pd.DataFrame, look: dict[str, Any]) -> None:
         axis.plot(t[part], n[part], ls=style_of[kind[start]], drawstyle=steps, **plain)
 
 
-def _panels(
-    titles: Sequence[str], study: Study, names: list[str]
-) -> tuple[Figure, list[Axes], list[str]]:
+def _panels(titles: Sequence[str], n_lines: int) -> tuple[Figure, list[Axes]]:
     columns = min(_COLUMNS, len(titles))
     rows = -(-len(titles) // columns)
-    legend_rows = -(-len(names) // 4)
+    legend_rows = -(-n_lines // 4)
     height = rows * (3.3 if columns < _COLUMNS else 2.7) + 0.25 * legend_rows
     figure, axes = style.panels(
         rows,
@@ -192,24 +235,22 @@ def _panels(
         axis.set_visible(False)
     if len(titles) > 1:
         for axis, title in zip(flat, titles, strict=False):
-            axis.set_title(title.capitalize())
-    return figure, flat[: len(titles)], names
+            axis.set_title(f"{title[0].upper()}{title[1:]}")
+    return figure, flat[: len(titles)]
 
 
-def _legend(figure: Figure, study: Study, names: list[str]) -> None:
-    look = looks(study)
-    handles = [Line2D([], [], **look[name]) for name in names]
+def _legend(figure: Figure, lines: Lines) -> None:
     figure.legend(
-        handles,
-        [legend_name(study, name) for name in names],
+        [Line2D([], [], **lines.looks[name]) for name in lines.names],
+        lines.labels,
         loc="lower center",
-        ncols=min(4, len(names)),
+        ncols=min(4, len(lines.names)),
         borderaxespad=0.1,
     )
 
 
-def _in(table: pd.DataFrame, name: str) -> bool:
-    return bool((table["method"] == name).any())
+def _in(table: pd.DataFrame, column: str, name: str) -> bool:
+    return bool((table[column] == name).any())
 
 
 def _steps(low: float, high: float) -> tuple[int, ...]:
@@ -226,7 +267,8 @@ def _thinned(sizes: Sequence[float], low: float, high: float) -> list[float]:
     return kept[::-1]
 
 
-def _error_words(study: Study) -> str:
+def error_words(study: Study) -> str:
+    """What the study's tolerance is about: ``worst error over the workspace``."""
     tolerance = study.tolerance
     kind = {"worst": "worst error", "mean": "mean error"}.get(tolerance.of)
     where = "the workspace" if tolerance.where == "workspace" else f"path {tolerance.where}"

@@ -28,14 +28,18 @@ def how_many_samples(data: ReportData) -> Section | None:
     blocks: list[Block] = [Text(_question(answer.tolerance))]
     needed = data.samples_needed
     if needed is not None and needed["n_samples"].notna().any():
+        lines = "one line per method"
+        if len(data.study.samples.designs) > 1:
+            lines = "a panel per method and a line for each way of placing the samples"
         blocks.append(
             Figure(
                 "samples-needed",
                 "",
-                "Samples needed against tolerance, one line per method, at the share of trainings "
-                "and the confidence asked for. Solid: tried and certified; dashed: tried and "
-                "measured; dotted: extrapolated. A line ends where no number of samples is known "
-                "to be enough, or at the largest tolerance asked about.",
+                f"Samples needed against tolerance ({figures_answer.error_words(data.study)}), "
+                f"{lines}, at the share of trainings and the confidence asked for. Solid: tried "
+                "and certified; dashed: tried and measured; dotted: extrapolated. A line ends "
+                "where no number of samples is known to be enough, or at the largest tolerance "
+                "asked about.",
                 figures_answer.samples_needed(data, needed),
                 (data.results / "samples-needed.csv").as_posix(),
                 f"{figures_answer.__name__}.samples_needed",

@@ -11,11 +11,11 @@ from iksamples.report.statistics import fall_interval
 from iksamples.report.verdict import levelling_pair
 from iksamples.report.wording import ACTIVATION_NAMES, joined, path_name, percent, thousands
 from iksamples.results import Cell
+from iksamples.sizing.finding import STREAM
 from iksamples.sizing.statistics import compare
 from iksamples.study import NETWORK, Method
 
 
-_STREAM = 20260523
 _QUANTITIES = ("path_mm", "worst_mm")
 
 
@@ -123,7 +123,7 @@ def _how_compared(data: ReportData) -> str:
 
 def _pairs(theirs: pd.DataFrame, own: pd.DataFrame, quantity: str) -> pd.DataFrame:
     first, second = (side.rename(columns={quantity: "error_mm"}) for side in (theirs, own))
-    return compare(first, second, np.random.default_rng(_STREAM))
+    return compare(first, second, np.random.default_rng(STREAM))
 
 
 def _row(data: ReportData, name: str, pairs: dict[str, pd.DataFrame]) -> list[str | Number]:

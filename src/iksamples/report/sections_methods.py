@@ -1,12 +1,16 @@
 """Sections that compare: methods and designs on the same samples, and readings of the paper."""
 
 import numpy as np
+import pandas as pd
 
 from iksamples.report import figures_answer
 from iksamples.report.blocks import Block, Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.figures_answer import QUANTITIES, legend_name
 from iksamples.report.wording import joined, path_name, thousands
+from iksamples.sizing.finding import STREAM
+from iksamples.sizing.statistics import compare
+from iksamples.sizing.words import placed_as
 
 
 def methods_and_designs(data: ReportData) -> Section | None:
@@ -33,15 +37,18 @@ def methods_and_designs(data: ReportData) -> Section | None:
     drawn_by = f"{figures_answer.__name__}.errors_of_methods"
     blocks: list[Block] = []
     if len(designs) == 1:
-        drawing = figures_answer.errors_of_methods(data, list(QUANTITIES), designs)
+        drawing = figures_answer.errors_of_methods(data, list(QUANTITIES))
         text = f"Mean and worst error {caption}{how}"
         blocks.append(Figure("methods", "", text, drawing, source, drawn_by))
     else:
         for quantity in QUANTITIES:
-            drawing = figures_answer.errors_of_methods(data, [quantity], designs)
+            drawing = figures_answer.errors_of_methods(data, [quantity])
             name = "Mean" if quantity == "mean_mm" else "Worst"
             more = how if quantity == "worst_mm" else ""
-            text = f"{name} error {caption} A panel for each way of placing the samples.{more}"
+            text = (
+                f"{name} error {caption} A panel for each method, a line for each way of placing "
+                f"the samples.{more}"
+            )
             figure = Figure(f"methods-{name.lower()}", "", text, drawing, source, drawn_by)
             blocks.append(figure)
     baseline = _baseline(data)
@@ -50,6 +57,71 @@ def methods_and_designs(data: ReportData) -> Section | None:
     blocks += [_table(data, quantity) for quantity in QUANTITIES]
     title = "Methods" if len(designs) == 1 else "Methods and designs"
     return Section("methods", f"{title} side by side", blocks)
+
+
+def placing(data: ReportData) -> Section | None:
+    """Every design against the first, method by method; None where the study has one design."""
+    designs = data.study.samples.designs
+    if len(designs) == 1:
+        return None
+    table = data.every_error.rename(columns={"worst_mm": "error_mm"})
+    sizes = sorted(table["n_samples"].unique())
+    rows: list[list[str | Number]] = []
+    texts: list[Block] = []
+    for name, method in data.study.all_methods.items():
+        own = table[table["method"] == name]
+        reference = own[own["design"] == designs[0]]
+        if method.kind == "analytic" or reference.empty:
+            continue
+        for design in designs[1:]:
+            rng = np.random.default_rng(STREAM)
+            pairs = compare(own[own["design"] == design], reference, rng).set_index("n_samples")
+            cells = [_share(pairs.loc[n]) if n in pairs.index else "" for n in sizes]
+            rows.append([legend_name(data.study, name), design, *cells])
+        texts.append(Text(_best_design(legend_name(data.study, name), own, designs[0])))
+    columns = [
+        Column("method", text=True),
+        Column("samples placed", text=True),
+        *(Column(str(int(n)), group="worst error in the workspace [%], by samples") for n in sizes),
+    ]
+    text = (
+        f"Each row holds a way of placing the samples against samples {placed_as(designs[0])}: "
+        "equally many, the same method, the same seeds. Below 100 % is better."
+    )
+    drawn = [name for name in designs if name in ("sobol", "latin", "uniform", "joints")]
+    if drawn:
+        text += (
+            f" The points of {joined(drawn)} are drawn once for all seeds; another `samples.seed` "
+            "draws others, so small differences between these say little."
+        )
+    caption = (
+        f"Worst error as a share of that with samples {placed_as(designs[0])}: median over paired "
+        "seeds; bold: its 95 % interval leaves out 100 % (a method without chance has no interval)."
+    )
+    return Section(
+        "placing",
+        "Where the samples are",
+        [Text(text), Table(columns, rows, caption, "table-placing"), *texts],
+    )
+
+
+def _share(found: "pd.Series[float]") -> str:
+    text = f"{100 * found['ratio']:.0f}"
+    sure = found["ratio_high"] < 1 or found["ratio_low"] > 1
+    return f"**{text}**" if sure else text
+
+
+def _best_design(name: str, own: pd.DataFrame, first: str) -> str:
+    """The design with the smallest median at every size, beside the first design."""
+    medians = own.groupby(["n_samples", "design"])["error_mm"].median().unstack()
+    parts = []
+    for n, row in medians.iterrows():
+        best = str(row.idxmin())
+        beside = "" if best == first else f", {first} {row[first]:.2f} mm"
+        parts.append(f"{n}: {best} ({row[best]:.2f} mm{beside})")
+    return (
+        f"**{name}.** Smallest worst error (median over the seeds), by samples: {'; '.join(parts)}."
+    )
 
 
 def readings(data: ReportData) -> Section | None:

@@ -27,13 +27,14 @@ from iksamples.report.blocks import Figure, Number, Section, Viewer
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
 from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, count
-from iksamples.study import Study
+from iksamples.study import Study, Training
 
 
 SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
     sections_answer.how_many_samples,
     sections_answer.fresh_trainings,
     sections_methods.methods_and_designs,
+    sections_methods.placing,
     sections_methods.readings,
     sections_changes.what_each_change_does,
     sections_results.table_one,
@@ -104,17 +105,34 @@ def facts(data: ReportData) -> list[str]:
     """The study in a line: arm, workspace, networks, training."""
     study = data.study
     widths = [3, *study.network.hidden, data.chain.n_joints]
-    grids = study.samples.points_per_axis
-    ladder = f"{len(grids)} grids, {grids[0]}³ to {grids[-1]}³ samples"
+    sizes, designs = study.samples.points_per_axis, study.samples.designs
+    kind = "sizes" if len(designs) > 1 else "grids"
+    ladder = f"{len(sizes)} {kind}, {sizes[0]}³ to {sizes[-1]}³ samples"
+    if len(designs) > 1:
+        ladder += f", placed in {len(designs)} ways"
+    per = " per set of samples" if len(designs) > 1 else " per grid"
     return [
         f"arm {Path(study.robot.urdf).stem}",
         f"{box_size(study)} ({box_ranges(study)} mm)",
         f"network {'-'.join(map(str, widths))}, {ACTIVATION_NAMES[study.network.activation]}",
-        f"{study.training.optimizer.capitalize()}, rate {study.training.learning_rate:g}, "
-        f"batch {study.training.batch_size}, {count(study.training.epochs, 'epoch')}",
-        ladder if len(grids) > 1 else f"{grids[0]}³ samples",
-        count(study.training.seeds, "seed") + (" per grid" if len(grids) > 1 else ""),
+        _training_facts(study.training),
+        ladder if len(sizes) > 1 else f"{sizes[0]}³ samples",
+        count(study.training.seeds, "seed") + (per if len(sizes) * len(designs) > 1 else ""),
     ]
+
+
+def _training_facts(training: Training) -> str:
+    budget = (
+        f"{count(training.steps, 'step')} at every size"
+        if training.steps
+        else count(training.epochs, "epoch")
+    )
+    if training.optimizer == "levenberg-marquardt":
+        return f"Levenberg-Marquardt, {budget}"
+    return (
+        f"{training.optimizer.capitalize()}, rate {training.learning_rate:g}, "
+        f"batch {training.batch_size}, {budget}"
+    )
 
 
 def _lettered(sections: Iterator[Section]) -> Iterator[Section]:

@@ -52,6 +52,19 @@ def corners(d: int) -> Floats:
     return np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
 
 
+def half_of_corners(d: int) -> Floats:
+    """The corners before the middle, shape (2^(d - 1), d); the others are their opposites.
+
+    What is the same at opposite corners need only be worked out here (``mirrored``).
+    """
+    return corners(d)[: 2 ** (d - 1)]
+
+
+def mirrored(values: Floats) -> Floats:
+    """Values of half of the corners (batch, corners, ...) for all, in the order of ``corners``."""
+    return np.concatenate([values, values[:, ::-1]], axis=1)
+
+
 @lru_cache(maxsize=16)
 def _with_constant(d: int) -> Floats:
     """The corners with a one in front, shape (2^d, 1 + d)."""
@@ -96,12 +109,13 @@ def expand(layers: Layers, which: Ints, centre_mm: Floats, radius_mm: Floats) ->
         shares.append(share)
         rows = np.concatenate([layers.through(rows, depth, which), added], axis=1)
         rows[:, 0] += layers.bias(depth, which)
+    reach = np.concatenate(reaches, axis=2) if reaches else np.zeros((batch, 2**d, 0))
     return Expansion(
         rows[:, 0],
         rows[:, 1 : split[0]],
         rows[:, split[0] : split[1]],
         rows[:, split[1] :],
-        np.concatenate(reaches, axis=2) if reaches else np.zeros((batch, 2**d, 0)),
+        reach if relu or not reaches else mirrored(reach),
         relu,
         np.concatenate(shares, axis=2) if shares else np.zeros((batch, d, 0)),
     )
@@ -172,11 +186,16 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
 
     bend = np.abs(half_bend) * other
     half = bend * (2.0 * straight + other) + third * ends**3
-    size = np.abs(corners(split[0] - 1) @ linear)
-    reach = (2.0 * size + other[:, None]) * bend[:, None]
+    # At a corner, over half, with x = |v| + o: (2 bend + third x^2) x - bend o.
+    scale = 1.0 / np.maximum(half, _TINY)
+    size = np.abs(half_of_corners(split[0] - 1) @ linear)
     size += other[:, None]
-    reach += third[:, None] * (size * size * size)
-    reach *= (1.0 / np.maximum(half, _TINY))[:, None]
+    reach = size * size
+    reach *= (third * scale)[:, None]
+    reach += (2.0 * bend * scale)[:, None]
+    reach *= size
+    reach -= (bend * other * scale)[:, None]
+    np.clip(reach, 0.0, 1.0, out=reach)
 
     first, second = pairs(split[0] - 1)
     product = linear[:, first] * linear[:, second]
@@ -184,7 +203,7 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
     rows[:, 0] = value
     rows[:, 1:] *= slope[:, None, :]
     rows[:, split[0] : split[1]] += half_bend[:, None, :] * product
-    return half[:, :, None] * weight, np.minimum(reach, 1.0), share
+    return half[:, :, None] * weight, reach, share
 
 
 def third_derivative_bound(lower: Floats, upper: Floats) -> Floats:

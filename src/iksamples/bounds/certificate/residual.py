@@ -10,7 +10,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.bounds.certificate.enclosure import corners, expand, pairs
+from iksamples.bounds.certificate.enclosure import (
+    corners,
+    expand,
+    half_of_corners,
+    mirrored,
+    pairs,
+)
 from iksamples.bounds.certificate.jets import Linkage, bending_mm, cubic_remainder_mm
 from iksamples.bounds.certificate.layers import Layers
 from iksamples.bounds.certificate.rounding import FLOAT64, rounding_slack_mm
@@ -237,24 +243,44 @@ class ErrorOverBoxes:
         weight = (joints.shares @ np.abs(noise).sum(axis=2)[:, :, None])[:, :, 0]
         weight += bends @ _axes_of_pairs(d)
 
-        # Changes of the angles: the linear part corner by corner, everything else at its largest.
+        # Changes of the angles: the linear part corner by corner (opposite corners have opposite
+        # changes, so half of them do), everything else at its largest.
         sums = self.linkage.angle_sums.T
-        turns = self.linkage.turns(np.abs(corners(d) @ (joints.linear @ sums)))
+        turns = self.linkage.turns(np.abs(half_of_corners(d) @ (joints.linear @ sums)))
         small_turns = self.linkage.turns(_largest(joints.quadratic, joints.noise, sums))[:, None]
         lengths = self.linkage.lengths_mm(joints.centre)[:, None]
         shifts: Floats | float = 0.0
         small_shifts: Floats | float = 0.0
         if self.linkage.slides_at_all:
-            shifts = self.linkage.shifts_mm(np.abs(corners(d) @ joints.linear))
+            shifts = self.linkage.shifts_mm(np.abs(half_of_corners(d) @ joints.linear))
             small_shifts = self.linkage.shifts_mm(_largest(joints.quadratic, joints.noise))[:, None]
         remainder = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
         remainder += cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
-        # Any edge may be to blame for the remainder, so every edge is halved in the end.
-        edges = radius_mm / (self.upper_mm - self.lower_mm)
-        weight += (remainder.max(axis=1) / edges.sum(axis=1))[:, None] * edges
+        weight += self._blame(joints.linear, lengths, remainder, radius_mm)
         return Residual(
-            centre, linear, quadratic, noise, joints.reach, joints.one_sided, remainder, weight
+            centre,
+            linear,
+            quadratic,
+            noise,
+            joints.reach,
+            joints.one_sided,
+            mirrored(remainder),
+            weight,
         )
+
+    def _blame(
+        self, linear: Floats, lengths_mm: Floats, remainder_mm: Floats, radius_mm: Floats
+    ) -> Floats:
+        """Which edges the remainder is due to, roughly, shape (boxes, d)."""
+        # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
+        turns = self.linkage.turns(np.abs(linear @ self.linkage.angle_sums.T))
+        whole = turns.sum(axis=1, keepdims=True)
+        due = (turns * (lengths_mm * whole**2)).sum(axis=2)
+        # Any edge may be to blame for what is not linear, so every edge is halved in the end.
+        edges = radius_mm / (self.upper_mm - self.lower_mm)
+        due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
+        return remainder_mm.max(axis=1)[:, None] * due
 
 
 def check_box(lower_mm: ArrayLike, upper_mm: ArrayLike, d: int) -> tuple[Floats, Floats]:

@@ -23,6 +23,8 @@ _BATCH = 1024
 """Boxes bounded in one round, or a quarter of those that wait where that is more."""
 _FILL = 96
 """While fewer boxes than this are left, each is split along several axes at once."""
+_STARTS, _STEPS = 8, 12
+"""Points that a large round improves, and steps of each."""
 _SMALLEST = 2.0**-48
 """Edges, as a share of the region's, are not halved below this; they stay exact in float64."""
 
@@ -281,7 +283,7 @@ def maximise(
         centre = objective.lower_mm + size * (lo + 0.5 * ed)
         bound, candidate, weight = objective.upper_bounds(w, centre, radius)
         boxes += np.bincount(w, minlength=n)
-        _try(objective, best, argmax, w, bound, centre, candidate)
+        _try(objective, best, argmax, w, bound, centre, candidate, len(now) >= _BATCH)
 
         done = bound <= np.maximum((1.0 + rtol) * best, best + atol)[w]
         _keep(kept, settled, keep_leaves, w, lo, ed, bound, done)
@@ -344,8 +346,21 @@ def _try(
     bound: Floats,
     centre: Floats,
     candidate: Floats,
+    climb: bool,
 ) -> None:
-    """Evaluates the most promising centres and corners; updates the best values in place."""
+    """Evaluates the most promising centres and corners; updates the best values in place.
+
+    Args:
+        objective: What is maximised.
+        best: Best value of each network.
+        argmax: Where it is.
+        which: The network that each box is for.
+        bound: Upper bounds over the boxes.
+        centre: Their centres.
+        candidate: Promising points of each.
+        climb: Whether to improve the best of these points by steps along the axes. That is cheap
+            beside a large round of boxes, and a better best value settles more of them.
+    """
     promise = bound - best[which]
     top = np.argsort(-promise)[: 16 + 4 * len(best)]
     top = top[promise[top] > 0]
@@ -355,9 +370,31 @@ def _try(
     owner = np.repeat(which[top], points.shape[1])
     points = points.reshape(len(owner), -1)
     values = objective.values(owner, points)
+    if climb:
+        start = np.argsort(best[owner] - values)[:_STARTS]
+        owner, points, values = owner[start], points[start], values[start]
+        _climb(objective, owner, points, values)
     order = np.argsort(values)  # the last assignment to a row is its largest value
     order = order[values[order] > best[owner[order]]]
     best[owner[order]], argmax[owner[order]] = values[order], points[order]
+
+
+def _climb(objective: Objective, which: Ints, points: Floats, values: Floats) -> None:
+    """Moves points of the region uphill along the axes, in place."""
+    size = objective.upper_mm - objective.lower_mm
+    n, d = points.shape
+    moves = size * np.concatenate([np.eye(d), -np.eye(d)])
+    step, rows, owner = np.full(n, 0.25), np.arange(n), np.repeat(which, 2 * d)
+    for _ in range(_STEPS):
+        tried = np.clip(
+            points[:, None] + step[:, None, None] * moves, objective.lower_mm, objective.upper_mm
+        )
+        found = objective.values(owner, tried.reshape(-1, d)).reshape(n, -1)
+        top = found.argmax(axis=1)
+        better = found[rows, top] > values
+        values[better] = found[rows, top][better]
+        points[better] = tried[rows, top][better]
+        step[~better] *= 0.5
 
 
 def _split(
