@@ -1,6 +1,7 @@
 """The checker: balls against exact numbers, its arm against the search's, and forgeries."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import mpmath
 import numpy as np
@@ -21,12 +22,14 @@ from hypothesis import strategies as st
 from iksamples.bounds.certificate.balls import Ball, norm_above, sum_above
 from iksamples.bounds.certificate.checker import verify
 from iksamples.bounds.certificate.checker_arm import Arm
+from iksamples.bounds.certificate.checker_network import Terms
 from iksamples.bounds.certificate.jets import Linkage
 from iksamples.bounds.certificate.residual import Comparison
 from iksamples.bounds.certificate.rounding import inference_slack_mm
 from iksamples.bounds.certificate.search import Leaves, certify_sup
 from iksamples.bounds.certificate.tiling import tiles_unit_box
 from iksamples.errors import IksamplesError
+from iksamples.training.network import StackedMLP
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
@@ -167,6 +170,65 @@ def test_axes_that_are_only_nearly_parallel_are_counted(rng):
     assert np.linalg.norm(miss, axis=1).max() <= checked.upper_mm
 
 
+def test_what_nearly_parallel_axes_leave_out_is_counted():
+    """The second joint undoes the first but for 9e-10 of tilt, and the arm is long."""
+    tilt, length, step = 9e-10, 1e6, 0.8
+    chain = make_chain(
+        "RR", [(0, 0, 1), (tilt, 0, 1)], np.zeros((2, 3)), (0, length, 0)
+    )  # fmt: skip
+    with mpmath.workdps(50):
+        skews, tip = [], mpmath.matrix([0, length, 0])
+        for axis in chain.axes:
+            x, y, z = (exact(a) / mpmath.sqrt(sum(exact(b) ** 2 for b in axis)) for a in axis)
+            skews.append(mpmath.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
+        a, b = skews[0] * step, skews[1] * -step
+        moved = mpmath.expm(a) * mpmath.expm(b) * tip
+        second = tip + (a + b) * tip + (a * a / 2 + a * b + b * b / 2) * tip
+        left_out = float(mpmath.norm(moved - second))
+    assert left_out > 1e-5
+    nothing = np.zeros((1, 2, 0))
+    straight = Terms(
+        Ball.of(np.zeros((1, 2))),
+        Ball.of(np.array([[[step, -step]]])),
+        Ball.of(np.zeros((1, 1, 2))),
+        Ball.of(np.zeros((1, 0, 2))),
+        Ball.of(np.zeros((1, 0, 2))),
+        np.zeros((1, 0)),
+        nothing,
+        nothing,
+    )
+    bound = Arm(chain).beyond(np.zeros((1, 2)), straight, np.zeros((1, 2)))
+    assert left_out <= bound.min() < 1e3 * left_out
+
+
+def test_cancellation_in_the_network_is_counted():
+    """Terms of 1e8 that cancel: what rounding does to the answer is far above its last place."""
+    rng = np.random.default_rng(5)
+    slide = make_chain("P", [(1, 0, 0)], [(0, 0, 0)], (0, 0, 0))
+    for _ in range(30):
+        first, bias = np.float32(rng.uniform(0, 1, (1, 8))), np.float32(rng.uniform(1e4, 2e4, 8))
+        second = np.float32(rng.uniform(-1e4, 1e4, (8, 1)))
+        second[7] = -np.float32(np.float64(bias[:7]) @ second[:7] / bias[7])
+        stack = StackedMLP(
+            (first[None], second[None]), (bias[None], np.zeros((1, 1), np.float32)), "relu",
+            np.zeros(1), np.ones(1), (0,),
+        )  # fmt: skip
+        certificate = certify_sup(stack, 0, slide, [0.0], [1.0], keep_leaves=True)
+
+        def error(x, first=first, bias=bias, second=second):
+            hidden = [
+                Fraction(float(w)) * x + Fraction(float(b))
+                for w, b in zip(first[0], bias, strict=True)
+            ]  # all open
+            answer = sum(h * Fraction(float(w)) for h, w in zip(hidden, second[:, 0], strict=True))
+            return abs(answer - x)
+
+        largest = max(error(0), error(1))
+        checked = verify(certificate, stack, 0, slide)
+        assert Fraction(checked.lower_mm) <= largest <= Fraction(checked.upper_mm)
+        assert largest <= Fraction(certificate.upper_mm)
+
+
 def certified(rng, activation="relu"):
     chain = planar([40.0, 30.0])
     stack = random_network(rng, (2, 8, 2), activation, n=2, lower=(20, 20), upper=(50, 50))
@@ -182,6 +244,11 @@ def test_forged_certificates_are_refused(rng):
     assert not verify(replace(honest, lower_mm=honest.upper_mm), stack, 0, chain).verified
     outside = replace(honest, argmax_mm=honest.argmax_mm + 1000.0)
     assert not verify(outside, stack, 0, chain).verified
+    # So near outside that the error there is as good as the one inside.
+    beside = np.where(honest.argmax_mm > 35, 50 + 1e-6, 20 - 1e-6)
+    beside = replace(honest, argmax_mm=beside, lower_mm=1e-3)
+    assert verify(replace(beside, argmax_mm=honest.argmax_mm), stack, 0, chain).verified
+    assert not verify(beside, stack, 0, chain).verified
     worst = int(leaves.bound.argmax())
     holed = Leaves(*(np.delete(v, worst, 0) for v in (leaves.lower, leaves.upper, leaves.bound)))
     checked = verify(replace(honest, leaves=holed), stack, 0, chain)
@@ -240,6 +307,18 @@ def test_the_lower_bound_is_an_error_that_is_taken():
         assert abs(error - exact(certificate.lower_mm)) < 1e-6
 
 
+def test_the_lower_bound_is_rounded_down():
+    """The error at the origin is the root of a whole number."""
+    gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
+    for bias in ((3, 5, 7), (2, 5, 9), (4, 6, 7), (3, 3, 5), (2, 2, 3)):
+        stack = linear_network(np.zeros((3, 3)), bias)
+        certificate = certify_sup(stack, 0, gantry, (0, 0, 0), (1, 1, 1), keep_leaves=True)
+        np.testing.assert_array_equal(certificate.argmax_mm, 0)
+        checked = verify(certificate, stack, 0, gantry)
+        square = sum(b * b for b in bias)
+        assert Fraction(checked.lower_mm) ** 2 <= square <= Fraction(checked.upper_mm) ** 2
+
+
 def test_compared_coordinates_may_be_chosen(rng):
     """A planar arm in the x-z plane, and a network with an input that is not compared."""
     chain = make_chain("RR", [(0, 1, 0)] * 2, [(0, 0, 0), (40, 0, 0)], (70, 0, 0))
@@ -277,6 +356,23 @@ def test_single_precision_stays_within_its_slack(rng, activation):
     )
     [slack] = inference_slack_mm(stack, chain, LOWER, UPPER)
     assert 0 < apart.max() <= slack < 1.0
+
+
+def test_single_precision_adds_up_over_many_layers(rng):
+    """One neuron wide and 200 layers deep: one layer's roundings alone would be too few."""
+    slide = make_chain("P", [(1, 0, 0)], [(0, 0, 0)], (0, 0, 0))
+    weights = tuple(np.float32(rng.uniform(0.8, 1.25, (1, 1, 1))) for _ in range(200))
+    stack = StackedMLP(
+        weights, (np.zeros((1, 1), np.float32),) * 200, "relu", np.zeros(1), np.ones(1), (0,)
+    )
+    points = rng.uniform(1, 2, (2000, 1))
+    hidden = np.float32(points)
+    for weight in weights:
+        hidden = hidden @ weight[0]
+    assert hidden.dtype == np.float32
+    apart = np.abs(hidden - plain_answer(stack, 0, points)).max()
+    [slack] = inference_slack_mm(stack, slide, [1.0], [2.0])
+    assert slack / 200 < apart <= slack
 
 
 def test_a_linear_answer_needs_no_leaves_but_the_first(rng):

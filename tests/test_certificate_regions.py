@@ -1,5 +1,9 @@
 """Certified means and shares against closed forms and dense points."""
 
+from fractions import Fraction
+from itertools import product
+from math import factorial, prod
+
 import numpy as np
 import pytest
 from certificate_cases import (
@@ -18,6 +22,7 @@ from scipy import integrate
 from iksamples.bounds.certificate.enclosure import pairs
 from iksamples.bounds.certificate.region import (
     _mean_of_cells,
+    _share_of_cells,
     _share_under_plane,
     certify_coverage,
     certify_mean,
@@ -63,6 +68,8 @@ def test_bad_cells_are_bad_and_fill_what_is_bad(rng):
     inside = rng.random((len(coverage.bad_lower_mm), 3))
     points = coverage.bad_lower_mm + inside * (coverage.bad_upper_mm - coverage.bad_lower_mm)
     assert np.linalg.norm(points - 0.5, axis=1).min() > 0.4
+    nearest = np.clip(0.5, coverage.bad_lower_mm, coverage.bad_upper_mm)
+    assert np.linalg.norm(nearest - 0.5, axis=1).min() > 0.4 - 1e-9
     volume = np.prod(coverage.bad_upper_mm - coverage.bad_lower_mm, axis=1).sum()
     assert volume <= 1 - coverage.lower
     assert volume >= 1 - coverage.upper - coverage.mixed
@@ -96,12 +103,21 @@ def test_means_and_shares_of_random_networks(seed, kinds, activation, depth, d):
     assert coverage.lower - slack <= 0.3 <= coverage.upper + slack
 
 
-def made_up(centre, linear, quadratic):
-    """A residual over one box that is exactly a polynomial."""
+def test_the_same_error_everywhere_is_its_own_mean(rng):
+    """A gantry that is off by the same everywhere: the squared length is known exactly."""
+    for bias in np.float32(rng.uniform(-3, 3, (40, 3))):
+        mean = certify_mean(linear_network(np.eye(3), bias), 0, GANTRY, *CUBE)
+        exact = sum(Fraction(float(b)) ** 2 for b in bias)
+        assert Fraction(mean.lower_mm) ** 2 <= exact <= Fraction(mean.upper_mm) ** 2
+        assert mean.upper_mm - mean.lower_mm < 1e-9
+
+
+def made_up(centre, linear, quadratic, remainder=0.0):
+    """A residual over one box that is a polynomial to within a remainder."""
     d = len(linear)
     return Residual(
         np.array([centre], float), np.array([linear], float), np.array([quadratic], float),
-        np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), True, np.zeros((1, 2**d)),
+        np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), True, np.full((1, 2**d), remainder),
         np.ones((1, d)),
     )  # fmt: skip
 
@@ -127,6 +143,46 @@ def test_mean_of_a_cell(seed, d, size):
     [low], [high] = _mean_of_cells(made_up(*parts))
     exact = mean_size(*parts)
     assert low - 2e-3 * size <= exact <= high + 2e-3 * size
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    size=st.floats(0.05, 2),
+    remainder=st.sampled_from([0.0, 0.1, 0.5]),
+    part=st.floats(0.02, 0.98),
+)
+def test_share_of_a_cell(seed, size, remainder, part):
+    """Against a fine row of positions, for an error that is off by the remainder either way."""
+    rng = np.random.default_rng(seed)
+    centre = 3.0 * rng.normal(size=3)
+    linear, quadratic = size * rng.normal(size=(2, 1, 3))
+    s = np.linspace(-1, 1, 20_001)[:, None]
+    sizes = np.linalg.norm(centre + s * linear + s * s * quadratic, axis=1)
+    tolerance = float(np.quantile(sizes, part))
+    residual = made_up(centre, linear, quadratic, remainder)
+    [low], [high] = _share_of_cells(residual, tolerance, 0.0)
+    assert low <= np.mean(sizes + remainder <= tolerance) + 1e-3
+    assert high >= np.mean(sizes - remainder <= tolerance) - 1e-3
+
+
+@pytest.mark.parametrize("steepest", [(1, 1, 1, 0.5, 0.5), (1, 0.8, 0.6, 0.6), (1, 1, 1, 1, 1, 1)])
+def test_share_under_a_plane_in_many_dimensions(steepest):
+    """Against the exact volume, a sum over all corners in exact arithmetic."""
+    slope = [Fraction(a).limit_denominator(10) for a in steepest]
+    for room in np.linspace(-sum(steepest), sum(steepest), 25):
+        exact = sum(
+            (-1) ** sum(v)
+            * max(Fraction(room) + sum((1 - 2 * b) * a for a, b in zip(slope, v, strict=True)), 0)
+            ** len(slope)
+            for v in product((0, 1), repeat=len(slope))
+        ) / (factorial(len(slope)) * prod(2 * a for a in slope))
+        low, high = (
+            float(_share_under_plane(np.array([steepest]), np.array([room]), side)[0])
+            for side in (-1.0, 1.0)
+        )
+        assert low <= float(exact) + 1e-12
+        assert high >= float(exact) - 1e-12
 
 
 def test_mean_of_a_cell_is_nearly_attained():

@@ -333,8 +333,11 @@ def calibrate(study_file: StudyFile, results: Results, output: Output) -> None:
 def recommend(results: Results) -> None:
     """Print the answer of a finished study: how many samples, by which method, how sure."""
     from iksamples.sizing.answer import recommend as advise
+    from iksamples.sizing.calibration import read_calibrations
 
     typer.echo(advise(results))
+    for one in read_calibrations(results):
+        typer.echo(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
 
 
 @app.command("next")
