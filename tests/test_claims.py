@@ -178,6 +178,10 @@ def test_verdicts_on_the_fall(kind: Evidence) -> None:
     assert claims.error_saturates(falling).verdict == "does not hold"
     assert "25 % from 125 to 216" in claims.error_saturates(falling).evidence
     assert claims.error_saturates(replace(kind, fall=None)).verdict == "cannot be tested"
+    scattered = replace(kind, fall=Ends(0.25, -0.1, 0.5))
+    assert claims.error_saturates(scattered).verdict == "cannot be tested"
+    flat = replace(kind, fall=Ends(0.02, -0.03, 0.07))
+    assert claims.error_saturates(flat).verdict == "holds"
     floor = {"here": Ends(1.5, 1.3, 1.8), "the paper’s column": Ends(0.1, 0.0, 0.4)}
     numbers = dict.fromkeys(floor, 20.0), dict.fromkeys(floor, 0.1)
     assert claims.error_follows_the_square(floor, *numbers).verdict == "holds in part"

@@ -24,7 +24,7 @@ def test_every_command_has_help(command):
     top = run(command, "--help")
     assert top.returncode == 0
     listed = [line.split()[1] for line in top.stdout.splitlines() if line.startswith("│ ")]
-    steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "table", "answer",
+    steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "map", "table", "answer",
              "recommend", "calibrate", "plan", "next", "track", "record", "report", "certify",
              "handbook"}  # fmt: skip
     assert steps <= set(listed)

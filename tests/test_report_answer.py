@@ -183,7 +183,7 @@ def test_readings_within_the_papers_spread_are_marked(data: ReportData) -> None:
     errors = data.every_error.copy()
     here = errors["method"] == "other"
     shift = np.where(errors["n_samples"] == 64, 2.0, 0.5)  # in units of the paper's ±
-    target = errors["n_samples"].map(paper["paper_error_mm"] + 0 * paper["n_trained"])
+    target = errors["n_samples"].map(paper["paper_error_mm"])
     errors.loc[here, "path_mm"] = (
         target + shift * errors["n_samples"].map(paper["paper_error_sd_mm"])
     )[here]
@@ -248,7 +248,7 @@ def test_no_other_network_no_changes(data: ReportData) -> None:
         ({"network": {"activation": "tanh"}}, ["tanh instead of ReLU"]),
         (
             {"training": {"steps": 32000}},
-            ["32\u202f000 optimiser steps at every size instead of 500 epochs"],
+            ["32\u202f000 steps at every size instead of 500 epochs"],
         ),
         (
             {"training": {"batch_size": 1, "learning_rate": 0.01}},
@@ -256,7 +256,9 @@ def test_no_other_network_no_changes(data: ReportData) -> None:
         ),
         (
             {"training": {"early_stopping": {"patience": 7}}},
-            ["early stopping after 7 epochs without progress"],
+            [
+                "early stopping (patience 7, threshold 1e-05 rad²) instead of no early stopping",
+            ],
         ),
         (
             {"training": {"held_out": {"source": "grid"}}},

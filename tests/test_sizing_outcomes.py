@@ -235,7 +235,7 @@ def test_the_whole_way_from_files_to_the_answer(results):
 
 class TestFreshSeeds:
     def test_the_same_study_with_fresh_seeds_checks_the_answer(self, results):
-        study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.6})
+        study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.5})
         one = answer_study(study, results)
         assert one.method("network").n_samples == 27
         first = {"seeds": SEEDS, "first_seed": SEEDS}
@@ -243,7 +243,7 @@ class TestFreshSeeds:
         # Errors of 5 to 10 mm, and of 10 to 15 mm one rung below.
         assert (found.at.n_met, found.below.n_met) == (SEEDS, 3)
         assert found.kept
-        assert found.sharp
+        assert found.sharp is None  # 3 of 6 may be more or less than half
 
     def test_seeds_that_gave_the_answer_cannot_check_it(self, results):
         study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.6})

@@ -135,10 +135,17 @@ def test_pairing_takes_what_the_seeds_have_in_common_out(rng):
     assert table["n_pairs"].tolist() == [30, 30]
 
 
-def test_one_member_is_held_against_every_seed(rng):
-    table = compare(line({8: [2.0]}), line({8: [1.0, 4.0, 4.0, 8.0, np.inf]}), rng)
+def test_what_is_not_left_to_chance_is_held_against_every_seed(rng):
+    many = line({8: [1.0, 4.0, 4.0, 8.0, np.inf]})
+    table = compare(line({8: [2.0]}), many, rng, (False, True))
     assert table["ratio"].item() == 0.5
     assert table["better"].item() == 0.8
+
+
+def test_a_network_with_one_seed_is_one_pair(rng):
+    table = compare(line({8: [2.0]}), line({8: [1.0, 4.0, 4.0, 8.0, 9.0]}), rng)
+    assert table["n_pairs"].item() == 1
+    assert np.isnan(table["ratio_low"].item())
 
 
 def test_a_pair_that_diverged_on_both_sides_says_nothing(rng):

@@ -83,11 +83,58 @@ def test_the_papers_study_file_says_what_the_defaults_say():
     assert written.model_dump(exclude=said) == Study(name="paper").model_dump(exclude=said)
 
 
-def test_digest_follows_every_setting_and_nothing_else():
+def test_digest_follows_the_settings_that_numbers_depend_on():
     study = read_study("config/config.yaml")
     assert study.digest() == Study.model_validate(study.model_dump()).digest()
-    other = parse_study({**yaml.safe_load(Path("config/config.yaml").read_text()), "title": "else"})
-    assert other.digest() != study.digest()
+    settings = yaml.safe_load(Path("config/config.yaml").read_text())
+    for change, same in (
+        ({"title": "else"}, True),
+        ({"tracking": {"uri": "sqlite:///else.db"}}, True),
+        ({"calibration": {"seeds": 9}}, True),
+        ({"network": {"hidden": [15]}}, False),
+        ({"tolerance": {"error_mm": 3}}, False),
+    ):
+        assert (parse_study({**settings, **change}).digest() == study.digest()) is same
+
+
+@pytest.mark.parametrize("name", ["cube", "workspace"])
+def test_a_path_cannot_be_called_like_the_workspace(name):
+    with pytest.raises(IksamplesError, match=f"'{name}' means the whole workspace"):
+        parse_study({"name": "s", "evaluation": {"paths": {name: {"shape": "heart"}}}})
+
+
+def test_fresh_points_are_the_studys_and_not_a_methods():
+    for training, own in (
+        ({"held_out": {"source": "grid"}}, {"held_out": {"source": "fresh"}}),
+        ({}, {"held_out": {"validation_share": 0.5}}),
+    ):
+        settings = {"name": "s", "training": training, "methods": {"other": {"training": own}}}
+        with pytest.raises(IksamplesError, match=r"'methods.other.training.held_out'.*once for"):
+            parse_study(settings)
+    parse_study({"name": "s", "methods": {"o": {"training": {"held_out": {"source": "grid"}}}}})
+
+
+def test_early_stopping_must_have_something_to_watch():
+    training = {"early_stopping": {}, "held_out": {"source": "grid"}}
+    with pytest.raises(IksamplesError, match=r"nothing to watch: validation_share 0.05 of 8"):
+        parse_study({"name": "s", "training": training})
+    parse_study({"name": "s", "training": training, "samples": {"points_per_axis": [3]}})
+
+
+def test_a_budget_in_steps_is_the_same_at_every_size():
+    second = {"optimizer": "levenberg-marquardt"}
+    study = parse_study(
+        {
+            "name": "s",
+            "training": {"steps": 320},
+            "methods": {"lm": {"training": second}, "epochs": {"training": {"epochs": 7}}},
+        }
+    )
+    for n, first_order in ((8, 320), (125, 20), (512, 5)):
+        assert study.for_method("network", n).training.epochs == first_order
+        assert study.for_method("lm", n).training.epochs == 320
+        # It says epochs, so it does not inherit the steps.
+        assert study.for_method("epochs", n).training.epochs == 7
 
 
 def test_command_line_prints_the_line_and_no_traceback(command, tmp_path):

@@ -11,7 +11,7 @@ from scipy import stats
 
 from iksamples.study import HeldOut
 from iksamples.training.initial import initial_weights
-from iksamples.training.problem import held_out_counts, snapshot_epochs, split_grid
+from iksamples.training.problem import snapshot_epochs, split_grid
 from iksamples.training.shuffle import GOLDEN, mix, permutations
 
 
@@ -106,7 +106,7 @@ def test_places_of_a_long_order_are_uniform_and_epochs_uncorrelated():
 )
 def test_held_out_counts(n, shares, expected):
     settings = HeldOut(source="grid", validation_share=shares[0], test_share=shares[1])
-    assert held_out_counts(n, settings) == expected
+    assert settings.counts(n) == expected
     parts = split_grid([4, 5, 6], n, settings)
     assert [part.shape for part in parts] == [
         (3, n - sum(expected)),

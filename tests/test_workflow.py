@@ -18,6 +18,7 @@ from iksamples.evaluation.errors import send
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.results import cells
 from iksamples.robot.workspace import study_chain
+from iksamples.sizing.calibration import read_calibrations
 from iksamples.study import read_study
 
 
@@ -165,6 +166,7 @@ def test_a_killed_run_goes_on_when_typed_again_with_the_same_numbers(project, tm
         env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
     )
     time.sleep(after_s)
+    assert process.poll() is None, "finished before it could be killed"
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     snakemake(folder, *arguments)
@@ -172,6 +174,31 @@ def test_a_killed_run_goes_on_when_typed_again_with_the_same_numbers(project, tm
         assert (folder / "results/tiny" / name).read_bytes() == (
             project / "results/tiny" / name
         ).read_bytes()
+
+
+def test_several_designs_and_fresh_seeds(tmp_path):
+    """Samples without a spacing come first; the answer is checked; the order of designs matters."""
+    folder = project_copy(tmp_path / "designs")
+    settings = {
+        "samples": {"designs": ["sobol", "grid"], "points_per_axis": [2, 3]},
+        "training": {"epochs": 300, "seeds": 6, "snapshots": 6},
+        "tolerance": {"error_mm": 60, "success_share": 0.5},
+        "calibration": {"seeds": 7},
+    }
+    changes = [f"{key}={value}" for key, value in settings.items()]
+    command = ("--cores", "2", "--configfile", TINY, "--config", *changes)
+    snakemake(folder, *command)
+    report = (folder / "reports/tiny/README.md").read_text(encoding="utf-8")
+    assert "nan" not in report.lower()
+    assert "e/d is" not in report
+    assert "## Where the samples are" in report
+    checks = read_calibrations(folder / "results/tiny")
+    assert {check.design for check in checks} <= {"sobol", "grid"}
+    assert all(check.at.n_seeds == 7 for check in checks)
+    assert "## Does the answer keep its word?" in report
+    assert planned(folder, *command[2:]) == set()
+    turned = [change.replace("['sobol', 'grid']", "['grid', 'sobol']") for change in changes]
+    assert {"table", "answer", "report"} <= planned(folder, *command[2:5], *turned)
 
 
 def test_a_bad_study_starts_no_job(tmp_path):

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -81,7 +81,8 @@ def check(study_file: StudyFile) -> None:
         typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
     points = region_points(study, chain, study.evaluation.cube_points)
     typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()))
-    trained = len(networks(study)) * len(sets) * study.training.seeds
+    seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
+    trained = len(sets) * seeds
     typer.echo(f"  {trained} networks to train")
 
 
@@ -124,8 +125,7 @@ def samples(
     study, chain = _open(study_file)
     _require_feasible(study, chain)
     sets = sample_sets(study)
-    if name not in sets:
-        raise IksamplesError(f"{study_file}: no samples '{name}'; there are {', '.join(sets)}.")
+    _require_one_of(sets, name, f"{study_file}: no samples")
     with _whole(output) as file:
         _record(study, chain, *sets[name]).save(file)
 
@@ -157,9 +157,7 @@ def evaluate(
     from iksamples.evaluation.step import evaluate as measure
 
     study, chain = _open(study_file)
-    if method not in study.all_methods:
-        known = ", ".join(study.all_methods)
-        raise IksamplesError(f"{study_file}: no method '{method}'; there are {known}.")
+    _require_one_of(study.all_methods, method, f"{study_file}: no method")
     for samples in _load(samples_files):
         cell = folder / samples.label
         tables, why_not = measure(study, chain, samples, method, cell)
@@ -199,8 +197,10 @@ def prove(
     import pandas as pd
 
     from iksamples.bounds.certify_step import certify
+    from iksamples.results import certified
 
     study, chain = _open(study_file)
+    _require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
     rows = [
         certify(study, chain, method, samples, folder / samples.label)
         for samples in _load(samples_files)
@@ -397,6 +397,7 @@ def record(
     from iksamples.study import read_study
 
     study = read_study(study_file)
+    _require_one_of(study.evaluation.paths, path, f"{study_file}: no path")
     with _whole(output) as file:
         record_path(study, path, cells(study, results), file)
 
@@ -458,6 +459,11 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
     return study, study_chain(study)
 
 
+def _require_one_of(known: Iterable[str], name: str, what: str) -> None:
+    if name not in known:
+        raise IksamplesError(f"{what} '{name}'; there are {', '.join(known)}.")
+
+
 def _require_feasible(study: "Study", chain: "SerialChain") -> None:
     """What a job for one set of samples cannot see of the rest, before anything is trained."""
     from iksamples.evaluation.paths import require_reachable
@@ -495,6 +501,13 @@ def main() -> None:
     """Entry point: an error meant for people ends with its message alone."""
     try:
         app()
+    except FileNotFoundError as error:
+        typer.echo(
+            f"Error: {error.filename}: there is no such file. Either the name is wrong, or the "
+            "study is not finished: run it to its end first.",
+            err=True,
+        )
+        sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():
             typer.echo(f"Error: {line}", err=True)

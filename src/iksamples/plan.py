@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from iksamples.results import certified, networks, sample_sets
+from iksamples.sizing.outcomes import is_certifiable
 from iksamples.study import Method, Study, Training
-from iksamples.training.problem import held_out_counts
 from iksamples.training.run import LARGE_NETWORK
 
 
@@ -68,12 +68,13 @@ class Plan:
     def seconds(self, cores: int) -> float:
         """Expected time with some cores [s].
 
-        Training is one job that all others but the recording of samples wait for; the others share
-        the cores.
+        Training is one job that all others but the recording of samples wait for, and calibration
+        is one that waits for the answer; the others share the cores.
         """
         parts = {step.step: step for step in self.steps}
-        alone = parts["samples"].seconds / cores + parts["train"].seconds
-        rest = [step for step in self.steps if step.step not in ("samples", "train")]
+        alone = parts["samples"].seconds / cores
+        alone += sum(parts[step].seconds for step in ("train", "calibrate") if step in parts)
+        rest = [step for step in self.steps if step.step not in ("samples", "train", "calibrate")]
         shared = sum(step.seconds for step in rest) / cores
         return alone + max(shared, max(step.longest_s for step in rest))
 
@@ -124,17 +125,22 @@ def plan_text(study: Study, plan: Plan, cores: int) -> str:
             f"{in_words(one.seconds):>8}".replace(",", " ")
         )
     jobs = sum(step.jobs for step in plan.steps)
+    of_sizes = f"{sizes[0]} to {sizes[-1]}" if len(sizes) > 1 else f"{sizes[0]}"
     head = (
-        f"{study.name}: {len(study.all_methods)} methods on {len(sets)} sets of {sizes[0]} to "
-        f"{sizes[-1]} samples, {jobs} jobs"
+        f"{study.name}: {_several(len(study.all_methods), 'method')} on "
+        f"{_several(len(sets), 'set')} of {of_sizes} samples, {jobs} jobs"
     )
     tail = (
         f"Expected: about {in_words(plan.seconds(cores))} with {cores} core{'s' * (cores > 1)}, "
         f"{plan.memory_mb / 1000:.1f} GB of memory for the largest job.\n"
-        "That is as on the machine of docs/benchmarks.md, from nothing; another may take half or "
-        "twice as long."
+        "As on the machine of docs/benchmarks.md, with no results there yet but trained networks;\n"
+        "another machine may take half or twice as long."
     )
     return "\n".join([head, "", *rows, "", tail])
+
+
+def _several(n: int, thing: str) -> str:
+    return f"{n} {thing}{'s' * (n != 1)}"
 
 
 def in_words(seconds: float) -> str:
@@ -184,8 +190,7 @@ def _training(study: Study, name: str, sizes: list[int], cached: int) -> MethodP
     share = 1 - cached / n_networks
     steps, seconds = 0, 0.0
     for n in sizes:
-        if method.training.held_out.source == "grid":
-            n -= sum(held_out_counts(n, method.training.held_out))
+        n = method.training.n_trained(n)
         epochs = study.for_method(name, n).training.epochs
         per_epoch = _steps_per_epoch(method.training, n)
         steps += seeds * epochs * per_epoch
@@ -219,7 +224,8 @@ def _weights(method: Method) -> int:
 
 def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
     """The workflow's steps, as if none of their files were there yet."""
-    n_sets, plans = len(sample_sets(study)), {plan.method: plan for plan in methods}
+    n_sets, n_first = len(sample_sets(study)), len(sample_sets(study, study.samples.design))
+    plans = {plan.method: plan for plan in methods}
     points = study.evaluation.cube_points + sum(
         path.waypoints for path in study.evaluation.paths.values()
     )
@@ -241,17 +247,20 @@ def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
         "evaluate": evaluations,
         "bounds": [0.01 * n_networks],
         "prove": proofs,
-        "map": [0.4 * n_sets],
+        "map": [0.4 * n_first],
         "table": [0.0],
         "answer": [0.1 * len(study.all_methods) * len(study.samples.designs)],
-        "track": [_RUN * n_networks],
+        "track": [_RUN * n_networks * n_first / n_sets],
         "record": [0.5] * len(study.evaluation.paths),
         "report": [1.0],
     }
     if study.calibration.seeds:
         fresh = 2 * study.calibration.seeds * len(methods)
         share = fresh / sum(plan.networks for plan in methods)
-        work["calibrate"] = [share * (work["train"][0] + sum(proofs) + sum(evaluations))]
+        again = work["train"][0] + sum(evaluations)
+        if is_certifiable(study.tolerance):
+            again += sum(proofs)
+        work["calibrate"] = [share * again]
     for step, jobs in work.items():
         seconds = [_START[step] + own for own in jobs]
         memory = _training_mb(study) if step in ("train", "calibrate") else _OTHER_MB

@@ -2,7 +2,7 @@
 
 Every field has a description, a unit where it has one, a range and a default, and the defaults are
 the paper's study. ``config/schema.json`` and the table in ``config/README.md`` are generated from
-here (``iksamples schema``).
+here (``iksamples handbook``).
 """
 
 import hashlib
@@ -170,6 +170,18 @@ class HeldOut(Section):
         description="Fewest fresh points of either kind (not used when the source is the grid).",
     )
 
+    def counts(self, n: int) -> tuple[int, int]:
+        """How many of n samples a seed loses to validation and to test.
+
+        None where fresh points are used. Each share is rounded to the nearest whole number (halves
+        up), so 5 % of 8 samples are none and 5 % of 27 are one. At least one sample is left to
+        train on.
+        """
+        if self.source == "fresh":
+            return 0, 0
+        n_validation = min(int(self.validation_share * n + 0.5), n - 1)
+        return n_validation, min(int(self.test_share * n + 0.5), n - 1 - n_validation)
+
 
 class Training(Section):
     """How the networks are trained."""
@@ -199,7 +211,8 @@ class Training(Section):
         ge=1,
         le=100_000_000,
         description="Optimiser steps, the same for every number of samples; null: count epochs. "
-        "Replaces `epochs`, which gives 8 samples 500 steps and 512 samples 32 000.",
+        "Replaces `epochs`, which gives 8 samples 500 steps and 512 samples 32 000. A method that "
+        "says `epochs` does not inherit it.",
     )
     early_stopping: EarlyStopping | None = Field(
         None, description="Stop a seed when its validation loss stalls; null: never."
@@ -218,6 +231,10 @@ class Training(Section):
     accelerator: Literal["auto", "cpu", "gpu"] = Field(
         "cpu", description="Device of the reference engine."
     )
+
+    def n_trained(self, n: int) -> int:
+        """How many of n samples a seed learns from."""
+        return n - sum(self.held_out.counts(n))
 
     @model_validator(mode="after")
     def _validation_for_early_stopping(self) -> "Training":
@@ -336,7 +353,7 @@ class Tolerance(Section):
         "the mean.",
     )
     where: str = Field(
-        "workspace", description="`workspace`, or the name of a path (there the worst is measured)."
+        "workspace", description="`workspace`, or the name of a path (there errors are measured)."
     )
     success_share: float = Field(
         0.8, gt=0, lt=1, description="Share of trainings that must meet the tolerance."
@@ -401,7 +418,7 @@ class Study(Section):
         if not isinstance(methods, dict):
             return data
         own = {key: data[key] for key in ("network", "training") if key in data}
-        full = {name: _overlay(own, method) for name, method in methods.items()}
+        full = {name: _own_budget(_overlay(own, one), one) for name, one in methods.items()}
         return {**data, "methods": full}
 
     @model_validator(mode="after")
@@ -410,9 +427,36 @@ class Study(Section):
             raise ValueError(
                 f"methods: '{NETWORK}' is the study's own network; choose another name"
             )
+        for name in ("workspace", "cube"):
+            if name in self.evaluation.paths:
+                raise ValueError(
+                    f"evaluation.paths: '{name}' means the whole workspace; choose another name"
+                )
         places = ("workspace", *self.evaluation.paths)
         if self.tolerance.where not in places:
             raise ValueError(f"'tolerance.where' should be one of {', '.join(places)}")
+        return self
+
+    @model_validator(mode="after")
+    def _held_out_points_exist(self) -> "Study":
+        fewest = min(self.samples.points_per_axis) ** 3
+        for name, method in self.all_methods.items():
+            if method.kind != "network":
+                continue
+            where = "training" if name == NETWORK else f"methods.{name}.training"
+            held_out = method.training.held_out
+            if held_out.source == "fresh" and held_out != self.training.held_out:
+                raise ValueError(
+                    f"'{where}.held_out': fresh points are recorded once for all methods; set them "
+                    "under 'training.held_out', or say 'source: grid' here"
+                )
+            lost = held_out.counts(fewest)[0]
+            if method.training.early_stopping and held_out.source == "grid" and not lost:
+                raise ValueError(
+                    f"'{where}.early_stopping' has nothing to watch: validation_share "
+                    f"{held_out.validation_share:g} of {fewest} samples is no sample; raise it, "
+                    "leave out that size, or say 'held_out.source: fresh'"
+                )
         return self
 
     @property
@@ -431,7 +475,10 @@ class Study(Section):
         method = self.all_methods[name]
         training = method.training
         if training.steps:
-            epochs = -(-training.steps // -(-n_samples // training.batch_size))
+            per_epoch = -(-n_samples // training.batch_size)
+            if training.optimizer == "levenberg-marquardt":
+                per_epoch = 1  # all samples at once
+            epochs = -(-training.steps // per_epoch)
             training = training.model_copy(update={"steps": None, "epochs": epochs})
         return self.model_copy(update={"network": method.network, "training": training})
 
@@ -443,8 +490,9 @@ class Study(Section):
         )
 
     def digest(self) -> str:
-        """Twelve hexadecimal digits that name the settings (defaults filled in)."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        """Twelve hexadecimal digits that name the settings that numbers depend on."""
+        apart = {"title", "tracking", "calibration"}
+        text = json.dumps(self.model_dump(mode="json", exclude=apart), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -489,6 +537,14 @@ def _overlay(base: Any, change: Any) -> Any:
     if not isinstance(base, dict) or not isinstance(change, dict):
         return change
     return {**base, **{key: _overlay(base.get(key), value) for key, value in change.items()}}
+
+
+def _own_budget(method: Any, change: Any) -> Any:
+    """A method that says how many epochs does not inherit a number of steps."""
+    said = change.get("training") if isinstance(change, dict) else None
+    if isinstance(said, dict) and "epochs" in said and "steps" not in said:
+        return {**method, "training": {**method["training"], "steps": None}}
+    return method
 
 
 _SHAPES: dict[str, type[Section]] = {"double_rectangle": DoubleRectangle, "heart": Heart}

@@ -49,7 +49,9 @@ rule prove:
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace"),
-        tightness=STUDY.bounds.model_dump_json(include={"sup_rtol", "mean_rtol", "mean_atol_mm"}),
+        tightness=STUDY.bounds.model_dump_json(
+            include={"sup_rtol", "mean_rtol", "mean_atol_mm"}
+        ),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.bounds.certify_step"),
         folder="results/{study}/{method}",

@@ -32,7 +32,7 @@ rule table:
         "results/{study}/benchmarks/table.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("evaluation", "bounds"),
+        settings=settings("samples", "evaluation", "bounds"),
         code=source_digest("iksamples.sizing.table"),
         results="results/{study}",
     shell:
@@ -57,7 +57,9 @@ rule answer:
         "results/{study}/benchmarks/answer.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("tolerance", "evaluation", "methods", "training", "network"),
+        settings=settings(
+            "samples", "tolerance", "evaluation", "methods", "training", "network"
+        ),
         code=source_digest("iksamples.sizing.size"),
         results="results/{study}",
     shell:

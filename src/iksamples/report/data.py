@@ -13,7 +13,7 @@ from pyarrow import parquet
 
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
-from iksamples.results import Cell, cells
+from iksamples.results import Cell, cells, sample_sets
 from iksamples.robot.chain import Floats, SerialChain
 from iksamples.robot.workspace import study_chain
 from iksamples.samples.dataset import AXES, SampleSet
@@ -217,9 +217,23 @@ class ReportData:
         table["worst_mm"] = np.where(np.isfinite(upper), upper, table["worst_mm"])
         return table
 
+    @cached_property
+    def diverged(self) -> int:
+        """Networks, of all methods on all samples, that ``every_error`` leaves out."""
+        trained = sum(
+            method.training.seeds * len(sample_sets(self.study))
+            for method in self.study.all_methods.values()
+            if method.kind == "network"
+        )
+        kinds = {name: method.kind for name, method in self.study.all_methods.items()}
+        kept = (self.every_error["method"].map(kinds) == "network").sum()
+        return trained - int(kept)
+
     def source(self, table: str) -> str:
         """Name of the cells' files of one kind, for a caption."""
-        return (self.results / NETWORK / "grid*" / f"{table}.parquet").as_posix()
+        return (
+            self.results / NETWORK / f"{self.study.samples.design}*" / f"{table}.parquet"
+        ).as_posix()
 
 
 def read_report_data(study: Study, results: Path, output: Path, command: str) -> ReportData:

@@ -56,10 +56,14 @@ def how_many_samples(data: ReportData) -> Section | None:
 
 def fresh_trainings(data: ReportData) -> Section | None:
     """How often trainings that had no part in the answer meet it; None where there are none."""
-    found = data.calibrations
-    if not found:
+    found, study = data.calibrations, data.study
+    if not study.calibration.seeds:
         return None
-    study = data.study
+    if not found:
+        nothing = (
+            "No network meets the tolerance with the samples tried, so there is no answer to check."
+        )
+        return Section("fresh-trainings", "Does the answer keep its word?", [Text(nothing)])
     several = len(study.samples.designs) > 1
     columns = [
         Column("method", text=True),
@@ -76,7 +80,8 @@ def fresh_trainings(data: ReportData) -> Section | None:
     for one in found:
         name = typeset(described(study, one.method))
         head = [name, *([one.design] if several else [])]
-        blocks.append(Text(f"**{name[0].upper()}{name[1:]}.** {typeset(one.statement)}"))
+        where = f" ({one.design})" if several else ""
+        blocks.append(Text(f"**{name[0].upper()}{name[1:]}{where}.** {typeset(one.statement)}"))
         for rate, what in ((one.at, "the answer"), (one.below, "one rung below")):
             if rate:
                 share = rate.success
@@ -156,8 +161,9 @@ def _table(data: ReportData, methods: list[MethodAnswer]) -> Table:
     caption = (
         "Keeps to: the smallest tolerance that is met at the share and confidence asked for. Where "
         "no number of samples tried is enough, the rung below is the largest tried. Certified: "
-        f"proved for every point of the workspace; measured: at {points} points, where the true "
-        f"worst case may not be. Data: `{(data.results / 'answer.json').as_posix()}`."
+        f"proved for every point of the workspace; measured: at {points} points"
+        + (", where the true worst case may not be" if data.study.tolerance.of == "worst" else "")
+        + f". Data: `{(data.results / 'answer.json').as_posix()}`."
     )
     return Table(columns, rows, caption, "table-answer")
 

@@ -9,11 +9,19 @@ from iksamples.report.blocks import Block, Column, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.statistics import fall_interval
 from iksamples.report.verdict import levelling_pair
-from iksamples.report.wording import ACTIVATION_NAMES, joined, path_name, percent, thousands
+from iksamples.report.wording import (
+    ACTIVATION_NAMES,
+    budget,
+    joined,
+    path_name,
+    percent,
+    thousands,
+)
 from iksamples.results import Cell
 from iksamples.sizing.finding import STREAM
 from iksamples.sizing.statistics import compare
-from iksamples.study import NETWORK, Method
+from iksamples.sizing.words import OPTIMIZERS
+from iksamples.study import NETWORK, Method, Training
 
 
 _QUANTITIES = ("path_mm", "worst_mm")
@@ -52,6 +60,8 @@ def what_each_change_does(data: ReportData) -> Section | None:
         "bold: its 95 % interval leaves out 100 %. Data: "
         f"`{(data.results / '*' / '*' / 'errors.parquet').as_posix()}`."
     )
+    if not rows:
+        return None
     # Before the paragraphs: the eye goes down a column faster than through a text.
     blocks.insert(1, Table(columns, rows, caption, "table-changes"))
     return Section("changes", "What each change does", blocks)
@@ -70,20 +80,19 @@ def _differences(own: Method, other: Method) -> Iterator[str]:
         yield " instead of ".join(names)
     ours, theirs = own.training, other.training
     if theirs.optimizer != ours.optimizer:
-        yield f"{_OPTIMIZERS[theirs.optimizer]} instead of {_OPTIMIZERS[ours.optimizer]}"
+        yield f"{OPTIMIZERS[theirs.optimizer]} instead of {OPTIMIZERS[ours.optimizer]}"
     if (theirs.steps, theirs.epochs) != (ours.steps, ours.epochs):
-        yield f"{_budget(other)} instead of {_budget(own)}"
+        yield f"{budget(theirs)} instead of {budget(ours)}"
     if theirs.learning_rate != ours.learning_rate:
         yield f"a learning rate of {theirs.learning_rate:g} instead of {ours.learning_rate:g}"
     if theirs.schedule != ours.schedule:
         yield f"a {theirs.schedule} learning rate instead of a {ours.schedule} one"
+    if theirs.plateau_patience != ours.plateau_patience and theirs.schedule == "plateau":
+        yield f"a plateau of {theirs.plateau_patience} epochs instead of {ours.plateau_patience}"
     if theirs.batch_size != ours.batch_size:
         yield f"batches of {theirs.batch_size} instead of {ours.batch_size}"
     if theirs.early_stopping != ours.early_stopping:
-        if theirs.early_stopping:
-            yield f"early stopping after {theirs.early_stopping.patience} epochs without progress"
-        else:
-            yield "no early stopping"
+        yield f"{_stopping(theirs)} instead of {_stopping(ours)}"
     if theirs.held_out != ours.held_out:
         if theirs.held_out.source != ours.held_out.source:
             where = {"grid": "among the samples", "fresh": "at fresh points"}
@@ -95,7 +104,14 @@ def _differences(own: Method, other: Method) -> Iterator[str]:
             yield "other shares of validation and test points"
 
 
-_OPTIMIZERS = {"adam": "Adam", "levenberg-marquardt": "Levenberg-Marquardt"}
+def _stopping(training: Training) -> str:
+    stop = training.early_stopping
+    if stop is None:
+        return "no early stopping"
+    kept = ", best epoch kept" if stop.restore_best else ""
+    return (
+        f"early stopping (patience {stop.patience}, threshold {stop.min_delta_rad2:g} rad²{kept})"
+    )
 
 
 def _layers(method: Method) -> str:
@@ -105,17 +121,10 @@ def _layers(method: Method) -> str:
     return f"{'-'.join(map(str, hidden))} neurons"
 
 
-def _budget(method: Method) -> str:
-    training = method.training
-    if training.steps:
-        return f"{thousands(training.steps)} optimiser steps at every size"
-    return f"{thousands(training.epochs)} epochs"
-
-
 def _how_compared(data: ReportData) -> str:
     return (
-        "Each row changes the study’s own network or training and keeps the samples, the seeds "
-        "and all else. Errors are compared seed by seed: below 100 % is better than the study’s "
+        "Each row changes the study’s own network or training in what it says, and keeps the "
+        "samples. Errors are compared seed by seed: below 100 % is better than the study’s "
         f"own. On {path_name(data, data.first_path)} it is the mean error, in the workspace the "
         "worst."
     )
@@ -191,6 +200,8 @@ def _how_often(path: pd.DataFrame) -> str:
     more = [f"equal at {same}"] if same else []
     if unclear:
         more.append(f"lost in the scatter of the seeds at {unclear}")
+    if sizes == 1:
+        return ""
     return f"It is {joined([counts, *more]) if more else counts}."
 
 

@@ -108,6 +108,8 @@ def _grid(data: ReportData, grid: Grid, cell: Cell, points: np.ndarray) -> GridE
     samples = grid.samples
     slope = np.abs(input_jacobian(network, points)).max(axis=(1, 2, 3))
     at_samples = send(network, data.chain, samples.positions_mm).error_mm
+    if data.study.training.held_out.source == "grid":
+        at_samples = np.full_like(at_samples, np.nan)  # some of them were not trained on
     proofs = _proofs(data.proofs, cell, seeds)
     place = proofs[["argmax_x_mm", "argmax_y_mm", "argmax_z_mm"]].dropna().to_numpy(float)
     sides = np.subtract(data.study.workspace.upper_mm, data.study.workspace.lower_mm)

@@ -7,7 +7,7 @@ from iksamples.report import figures_answer
 from iksamples.report.blocks import Block, Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.figures_answer import QUANTITIES, legend_name
-from iksamples.report.wording import joined, path_name, thousands
+from iksamples.report.wording import count, joined, path_name, thousands
 from iksamples.sizing.finding import STREAM
 from iksamples.sizing.statistics import compare
 from iksamples.sizing.words import placed_as
@@ -75,9 +75,12 @@ def placing(data: ReportData) -> Section | None:
             continue
         for design in designs[1:]:
             rng = np.random.default_rng(STREAM)
-            pairs = compare(own[own["design"] == design], reference, rng).set_index("n_samples")
+            chance = (method.kind == "network",) * 2
+            pairs = compare(own[own["design"] == design], reference, rng, chance)
+            pairs = pairs.set_index("n_samples")
             cells = [_share(pairs.loc[n]) if n in pairs.index else "" for n in sizes]
-            rows.append([legend_name(data.study, name), design, *cells])
+            if any(cells):
+                rows.append([legend_name(data.study, name), design, *cells])
         texts.append(Text(_best_design(legend_name(data.study, name), own, designs[0])))
     columns = [
         Column("method", text=True),
@@ -117,7 +120,9 @@ def _best_design(name: str, own: pd.DataFrame, first: str) -> str:
     parts = []
     for n, row in medians.iterrows():
         best = str(row.idxmin())
-        beside = "" if best == first else f", {first} {row[first]:.2f} mm"
+        # Masked designs may differ in size, so that the first has none of this one.
+        alone = best == first or not np.isfinite(row[first])
+        beside = "" if alone else f", {first} {row[first]:.2f} mm"
         parts.append(f"{n}: {best} ({row[best]:.2f} mm{beside})")
     return (
         f"**{name}.** Smallest worst error (median over the seeds), by samples: {'; '.join(parts)}."
@@ -217,7 +222,14 @@ def _table(data: ReportData, quantity: str) -> Table:
                 rows.append([*head, *(Number(value, _digits(value)) for value in values)])
     caption = f"{QUANTITIES[quantity].split(' [')[0].capitalize()} over the whole workspace, "
     caption += "median over the seeds; empty: the method cannot use these samples."
+    diverged = data.diverged
+    if diverged:
+        caption += f" {count(diverged, 'network')} diverged and {_are(diverged)} left out."
     return Table(columns, rows, caption, f"table-{quantity.split('_')[0]}", in_readme=not several)
+
+
+def _are(n: int) -> str:
+    return "is" if n == 1 else "are"
 
 
 def _digits(value: float) -> int:

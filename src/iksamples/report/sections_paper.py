@@ -14,7 +14,7 @@ from iksamples.report.wording import (
     ACTIVATION_NAMES,
     box_ranges,
     box_size,
-    count,
+    budget,
     grid_name,
     joined,
     minus,
@@ -299,7 +299,7 @@ def _early_stopping(study: Study) -> list[str]:
     here = (
         f"Patience {stop.patience}, threshold {stop.min_delta_rad2:g} rad², per seed."
         if stop
-        else f"Off: every network trains for {count(study.training.epochs, 'epoch')}."
+        else f"Off: every network trains for {budget(study.training)}."
     )
     return [
         "Early stopping",

@@ -7,7 +7,7 @@ from iksamples.report.blocks import Block, Column, Figure, Number, Section, Tabl
 from iksamples.report.data import ReportData
 from iksamples.report.scene import scene
 from iksamples.report.statistics import Interval, slope_interval
-from iksamples.report.verdict import paper_task
+from iksamples.report.verdict import paper_recipe, paper_task
 from iksamples.report.wording import (
     box_size,
     grid_name,
@@ -99,6 +99,7 @@ def error_against_samples(data: ReportData) -> Section:
     ]
     if len(data.grids) > 1:
         blocks += [Text(text) for text in _fall_texts(data)]
+    if len(data.grids) > 1 and has_spacing(data):
         blocks.append(
             Figure(
                 "error-over-spacing",
@@ -121,18 +122,19 @@ def error_against_samples(data: ReportData) -> Section:
 def training_progress(data: ReportData) -> Section:
     """The paper's Figure 3, and how long each grid was really trained."""
     first, last = data.grids[0], data.grids[-1]
-    epochs = data.study.training.epochs
+    training = data.study.training
     texts = []
-    if len(data.grids) > 1:
-        steps = [thousands(float(grid.members["steps"].median())) for grid in (first, last)]
-        stopped = "" if data.study.training.early_stopping is None else "at most "
+    steps = [float(grid.members["steps"].median()) for grid in (first, last)]
+    if steps[1] > 1.05 * steps[0] and not training.steps:
+        stopped = "" if training.early_stopping is None else "at most "
         texts.append(
-            f"Equal epochs are not equal training: in {stopped}{epochs} epochs a network takes "
-            f"{steps[0]} optimiser steps with {first.n} samples and {steps[1]} with {last.n}. Part "
-            "of what looks like an effect of the samples is an effect of the steps."
+            f"Equal epochs are not equal training: in {stopped}{training.epochs} epochs a network "
+            f"takes {thousands(steps[0])} optimiser steps with {first.n} samples and "
+            f"{thousands(steps[1])} with {last.n}. Part of what looks like an effect of the "
+            "samples is an effect of the steps."
         )
     loss = first.members["validation_loss_rad2"].dropna()
-    if first.m == 2 and epochs == 500 and len(loss):
+    if first.m == 2 and paper_recipe(data) and len(loss):
         texts.append(
             "With 8 samples the paper reports a validation loss of about 1.5 after 500 epochs; the "
             f"median here is {loss.median():.2g} rad²."
@@ -198,17 +200,24 @@ def path_views(data: ReportData) -> Section:
     return Section("paths", "The paths, as the networks draw them", [viewer, *blocks])
 
 
+def has_spacing(data: ReportData) -> bool:
+    """Whether the samples are even grids, which alone have a spacing."""
+    return bool(np.isfinite([grid.samples.spacing_mm for grid in data.grids]).all())
+
+
 def _fall_texts(data: ReportData) -> list[str]:
     grids = [grid for grid in data.grids if grid.m >= 4] or data.grids
     grids = grids if len(grids) > 1 else data.grids
     errors = [grid.seed_errors(data.first_path) for grid in grids]
     by_n = slope_interval([grid.n for grid in grids], errors)
-    by_d = slope_interval([grid.samples.spacing_mm for grid in grids], errors)
-    texts = [
+    text = (
         f"From {grids[0].n} to {grids[-1].n} samples the error on "
-        f"{path_name(data, data.first_path)} goes as {power_of('n', by_n.value)}{_range(by_n)}, or "
-        f"as {power_of('d', by_d.value)}{_range(by_d)} in the spacing d."
-    ]
+        f"{path_name(data, data.first_path)} goes as {power_of('n', by_n.value)}{_range(by_n)}"
+    )
+    if not has_spacing(data):
+        return [f"{text}."]
+    by_d = slope_interval([grid.samples.spacing_mm for grid in grids], errors)
+    texts = [f"{text}, or as {power_of('d', by_d.value)}{_range(by_d)} in the spacing d."]
     ratio = data.table[data.table["samples_per_axis"].isin([grid.m for grid in grids])]
     values = span(ratio["error_over_spacing"].to_list(), 2)
     texts.append(

@@ -5,7 +5,8 @@ import numpy as np
 from iksamples.report.data import Grid, ReportData
 from iksamples.report.statistics import fall_interval
 from iksamples.report.wording import count, mm, path_name, percent, seeds_mean, span, typeset
-from iksamples.study import DoubleRectangle, Network, Robot, Training, Workspace
+from iksamples.sizing.words import is_paper_recipe
+from iksamples.study import NETWORK, DoubleRectangle, Robot, Workspace
 
 
 _SATURATION_M = 5
@@ -19,12 +20,8 @@ def verdict(data: ReportData) -> list[str]:
 
 
 def paper_recipe(data: ReportData) -> bool:
-    """Whether the networks are the paper's: shape, activation, optimiser and epochs."""
-    ours, theirs = data.study.training, Training()
-    same = ("optimizer", "learning_rate", "batch_size", "epochs", "early_stopping")
-    return data.study.network == Network() and all(
-        getattr(ours, key) == getattr(theirs, key) for key in same
-    )
+    """Whether the networks have the paper's shape and training."""
+    return is_paper_recipe(data.study.all_methods[NETWORK])
 
 
 def paper_task(data: ReportData) -> bool:

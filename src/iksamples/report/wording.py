@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from iksamples.report.data import ReportData
-from iksamples.study import DoubleRectangle, Study
+from iksamples.study import DoubleRectangle, Study, Training
 
 
 ACTIVATION_NAMES = {"relu": "ReLU", "tanh": "tanh"}
@@ -43,6 +43,13 @@ def span(values: Sequence[float], digits: int, unit: str = "") -> str:
     low, high = f"{np.min(values):.{digits}f}", f"{np.max(values):.{digits}f}"
     tail = f" {unit}" if unit else ""
     return minus(f"{low}{tail}" if low == high else f"{low} to {high}{tail}")
+
+
+def budget(training: Training) -> str:
+    """How long a network is trained: ``500 epochs``, ``32 000 steps at every size``."""
+    if training.steps:
+        return f"{count(training.steps, 'step')} at every size"
+    return count(training.epochs, "epoch")
 
 
 def joined(items: Sequence[str], last: str = "and") -> str:

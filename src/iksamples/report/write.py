@@ -26,7 +26,7 @@ from iksamples.report import (
 from iksamples.report.blocks import Figure, Number, Section, Viewer
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
-from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, count
+from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, budget, count
 from iksamples.study import Study, Training
 
 
@@ -122,16 +122,11 @@ def facts(data: ReportData) -> list[str]:
 
 
 def _training_facts(training: Training) -> str:
-    budget = (
-        f"{count(training.steps, 'step')} at every size"
-        if training.steps
-        else count(training.epochs, "epoch")
-    )
     if training.optimizer == "levenberg-marquardt":
-        return f"Levenberg-Marquardt, {budget}"
+        return f"Levenberg-Marquardt, {budget(training)}"
     return (
         f"{training.optimizer.capitalize()}, rate {training.learning_rate:g}, "
-        f"batch {training.batch_size}, {budget}"
+        f"batch {training.batch_size}, {budget(training)}"
     )
 
 

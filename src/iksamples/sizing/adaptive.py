@@ -14,7 +14,6 @@ from iksamples.samples.record import ADAPTIVE, region_points, sample_set, sample
 from iksamples.sizing.proposal import propose, spread
 from iksamples.study import NETWORK, HeldOut, Study
 from iksamples.training.network import StackedMLP
-from iksamples.training.problem import held_out_counts
 from iksamples.training.run import train
 
 
@@ -72,10 +71,7 @@ def train_seeds(study: Study, samples: SampleSet, progress: bool = False) -> Sta
         samples: The samples.
         progress: Report on stderr.
     """
-    held_out = study.training.held_out
-    n_trained = samples.n_samples
-    if held_out.source == "grid":
-        n_trained -= sum(held_out_counts(n_trained, held_out))
+    n_trained = study.training.n_trained(samples.n_samples)
     with TemporaryDirectory(prefix="iksamples-") as folder:
         train(study.for_method(NETWORK, n_trained), [samples], [Path(folder)], progress=progress)
         return StackedMLP.load(Path(folder) / "weights.safetensors")

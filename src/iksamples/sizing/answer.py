@@ -58,7 +58,7 @@ class Rung(Part):
     meets: bool = Field(description="Whether `success_lower` reaches `success_share`.")
     kept_mm: float | None = Field(
         description="Smallest tolerance that would be met at that share and confidence [mm]; null: "
-        "too few trainings for any."
+        "too few trainings for any, or too many diverged."
     )
     error_best_mm: float | None = Field(description="Smallest error of a training [mm].")
     error_median_mm: float | None = Field(description="Median over trainings [mm].")

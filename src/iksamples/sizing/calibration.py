@@ -49,9 +49,13 @@ class Calibration(Part):
     design: str = Field(description="How its samples are placed.")
     at: HitRate = Field(description="At the recommended number of samples.")
     below: HitRate | None = Field(description="One rung below; null: there is none.")
-    kept: bool = Field(description="Whether at least the promised share met the tolerance.")
+    kept: bool | None = Field(
+        description="Whether the share that met the tolerance is at least the promised one; null: "
+        "its interval lies on both sides of it."
+    )
     sharp: bool | None = Field(
-        description="Whether one rung below it did not; null without such a rung."
+        description="Whether the share one rung below is smaller than promised; null: cannot be "
+        "told, or no such rung."
     )
     statement: str = Field(description="The same in sentences.")
 
@@ -66,7 +70,8 @@ def calibrate(
     """Holds an answer against fresh trainings.
 
     The answer promises a share; the rung below is only not promised. So a rung below that does as
-    well is no fault, but the answer was careful there, and the statement says so.
+    well is no fault, but the answer was careful there, and the statement says so. A share counts as
+    reached or missed where its 95 % interval says so.
 
     Args:
         tolerance: The wish the answer was given for.
@@ -87,9 +92,9 @@ def calibrate(
         )
     at = rates[n_samples]
     below = rates[n_below] if n_below is not None else None
-    wish = tolerance.success_share
-    kept = at.success.value >= wish
-    sharp = None if below is None else below.success.value < wish
+    kept = _reaches(at.success, tolerance.success_share)
+    does_below = below and _reaches(below.success, tolerance.success_share)
+    sharp = None if does_below is None else not does_below
     return Calibration(
         method=line.method,
         design=line.design,
@@ -174,18 +179,36 @@ def _rate(tolerance: Tolerance, n: int, group: "pd.DataFrame") -> HitRate:
 _LIST = TypeAdapter(list[Calibration])
 
 
+def _reaches(share: Share, wish: float) -> bool | None:
+    """Whether a share is at least the wish; None: its interval leaves both open."""
+    if share.low >= wish:
+        return True
+    return False if share.high < wish else None
+
+
 def _statement(
-    tolerance: Tolerance, at: HitRate, below: HitRate | None, kept: bool, sharp: bool | None
+    tolerance: Tolerance,
+    at: HitRate,
+    below: HitRate | None,
+    kept: bool | None,
+    sharp: bool | None,
 ) -> str:
     promised = percent(tolerance.success_share)
-    verdict = "The answer keeps its word" if kept else "The answer does not keep its word"
+    verdict = {
+        True: "The answer keeps its word",
+        False: "The answer does not keep its word",
+        None: "Whether the answer keeps its word cannot be told from so few",
+    }[kept]
     text = f"{verdict}: with {_in_words(tolerance, at)}; promised were {promised}."
     if below is None:
         return text
     text += f" One rung below, with {_in_words(tolerance, below)}"
     if sharp:
         return f"{text}: too few."
-    return f"{text}: enough as well, so the answer was more careful than it had to be."
+    if sharp is None:
+        return f"{text}: it cannot be told whether that is enough."
+    more = ", so the answer was more careful than it had to be" if kept else ""
+    return f"{text}: enough as well{more}."
 
 
 def _in_words(tolerance: Tolerance, rate: HitRate) -> str:

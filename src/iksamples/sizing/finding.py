@@ -10,7 +10,7 @@ from iksamples.sizing.beyond import Beyond, curves_to_extrapolate, is_random, lo
 from iksamples.sizing.curves import Curve
 from iksamples.sizing.ladder import judge, needed_on_ladder, standing
 from iksamples.sizing.outcomes import Line, errors_matrix, lines
-from iksamples.sizing.statistics import Floats, draws, seeds_needed, single_share
+from iksamples.sizing.statistics import Floats, draws, met_needed, seeds_needed, single_share
 from iksamples.study import Study
 
 
@@ -127,10 +127,19 @@ def samples_needed(
                 records.append((*line, tolerance, rung.n_samples, "answered", certified))
                 continue
             beyond = look_beyond(study, line, curves, tolerance, largest.n_samples)
-            status = "more-seeds" if largest.kept_mm is None else beyond.verdict
+            status = "more-seeds" if _too_few(study, largest) else beyond.verdict
             records.append((*line, tolerance, beyond.n_samples or np.nan, status, False))
     columns = ["method", "design", "tolerance_mm", "n_samples", "status", "certified"]
     return pd.DataFrame(records, columns=columns)
+
+
+def _too_few(study: Study, rung: Rung) -> bool:
+    """Whether there are so few trainings that all of them could not be enough."""
+    if rung.success_lower is None:
+        return False
+    tolerance = study.tolerance
+    share = single_share(tolerance.success_share, tolerance.best_of)
+    return met_needed(rung.n_seeds, share, tolerance.confidence) is None
 
 
 def _curves(study: Study, line: Line, of_line: "pd.DataFrame") -> list[Curve]:

@@ -20,7 +20,8 @@ def calibrate_results(
     """Holds every network's answer against fresh trainings of it.
 
     The fresh networks are trained on the study's own samples, at the answer and one rung below, and
-    measured and certified as the study's were. They are kept in ``<results>/fresh``.
+    measured and certified as the study's were. They are kept in the results, in
+    ``fresh/<method>-<design>``.
 
     Args:
         study: The study; ``calibration.seeds`` says how many fresh trainings.
@@ -37,7 +38,7 @@ def calibrate_results(
     for one in answered:
         fresh = fresh_study(study, one)
         _run(fresh, chain, one, results, progress)
-        folder = results / FRESH / one.method
+        folder = _folder(results, one)
         found.append(calibrate_study(answer, study, fresh, folder, one.method, one.design))
     return found
 
@@ -64,13 +65,18 @@ def fresh_study(study: Study, answer: MethodAnswer) -> Study:
     )
 
 
+def _folder(results: Path, answer: MethodAnswer) -> Path:
+    """The results folder of an answer's fresh trainings."""
+    return results / FRESH / f"{answer.method}-{answer.design}"
+
+
 def _run(
     study: Study, chain: SerialChain, answer: MethodAnswer, results: Path, progress: bool
 ) -> None:
     """Trains, measures and proves; each table of a fresh network lies where a study's does."""
     import pandas as pd
 
-    method, folder = answer.method, results / FRESH / answer.method
+    method, folder = answer.method, _folder(results, answer)
     cells = [Cell(results, method, rung.label) for rung in _rungs(answer)]
     sets = [cell.samples for cell in cells]
     train_study(study, sets, folder, folder / "cache", progress, methods=[method])

@@ -100,7 +100,7 @@ def _clause(study: Study, one: Finding) -> str:
             return f"{subject} needs none"
         return f"{subject} needs {whole(rung.n_samples)} ({_proof(study, rung)})"
     if one.status == "more-seeds":
-        few = f"{several(rung.n_seeds, 'training')} are too few to tell"
+        few = f"{several(rung.n_seeds, 'training')} cannot tell"
         return f"for {subject}, {few} ({whole(one.seeds or 0)} might do)"
     if one.status == "unreachable":
         return f"with {subject} it is not reachable, however many samples (by its learning curve)"
@@ -135,8 +135,9 @@ def _not_answered(study: Study, one: Finding) -> list[str]:
     lines = [f"The most samples tried fail: {_failing(study, rung)}."]
     if one.status == "more-seeds":
         lines.append(
-            f"The share that succeeded is larger than wished, but {rung.n_seeds} trainings are too "
-            f"few to be sure of it: if it stays as it is, {whole(one.seeds or 0)} would be enough "
+            "The share that succeeded is larger than wished, but "
+            f"{several(rung.n_seeds, 'training')} cannot make sure of it: if it stays as it is, "
+            f"{whole(one.seeds or 0)} would be enough "
             "(training.seeds)."
         )
     if beyond is None or one.status == "more-seeds":
@@ -221,7 +222,7 @@ def _met(study: Study, rung: Rung) -> str:
     """How many trainings succeeded, and what follows for all."""
     tolerance = study.tolerance
     lower, sure = percent_down(rung.success_lower or 0), percent(tolerance.confidence)
-    met = f"{rung.n_met} of {rung.n_seeds} trainings succeed"
+    met = f"{rung.n_met} of {several(rung.n_seeds, 'training')} succeed"
     if not rung.n_met:
         return met
     if tolerance.best_of == 1:

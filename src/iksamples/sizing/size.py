@@ -86,7 +86,7 @@ def answer(study: Study, rows: "pd.DataFrame", cells: list[Cell]) -> Answer:
         ladder=sorted({rung.n_samples for one in findings for rung in one.rungs}),
         headline=headline(study, findings),
         methods=methods,
-        comparisons=_comparisons(of_lines),
+        comparisons=_comparisons(study, of_lines),
     )
 
 
@@ -140,14 +140,15 @@ def _curves(line: Line, of_line: "pd.DataFrame") -> list[LearningCurve]:
     return [_learning_curve(curve) for curve in curves]
 
 
-def _comparisons(of_lines: "dict[Line, pd.DataFrame]") -> list[Comparison]:
+def _comparisons(study: Study, of_lines: "dict[Line, pd.DataFrame]") -> list[Comparison]:
     found = []
     first = next((line for line in of_lines if line.method == NETWORK), None)
     for line, of_line in of_lines.items():
         other = first if line.method == NETWORK else Line(NETWORK, line.design)
         if other is None or other == line or other not in of_lines:
             continue
-        pairs = compare(of_line, of_lines[other], np.random.default_rng(STREAM))
+        chance = is_random(study, line.method), is_random(study, other.method)
+        pairs = compare(of_line, of_lines[other], np.random.default_rng(STREAM), chance)
         for n, n_pairs, ratio, low, high, better in pairs.to_numpy(float):
             found.append(
                 Comparison(

@@ -142,17 +142,21 @@ def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
 
 
 def compare(
-    ours: "pd.DataFrame", theirs: "pd.DataFrame", rng: np.random.Generator
+    ours: "pd.DataFrame",
+    theirs: "pd.DataFrame",
+    rng: np.random.Generator,
+    chance: tuple[bool, bool] = (True, True),
 ) -> "pd.DataFrame":
     """One line's error over another's, seed by seed at equal numbers of samples.
 
     A seed gives two networks of one shape the same initial weights and shuffles; pairing takes what
-    that has in common out of the comparison. A method of one member is held against every seed.
+    that has in common out of the comparison. What is not left to chance is held against every seed.
 
     Args:
         ours: Outcomes of one method on one design.
         theirs: Outcomes it is compared with.
         rng: Draws the resamples.
+        chance: Whether the first and the second are networks, of which each seed is one.
 
     Returns:
         One row per number of samples that both have: n_samples, n_pairs, ratio (median over seeds
@@ -163,7 +167,9 @@ def compare(
 
     records = []
     for n in sorted(set(ours["n_samples"]) & set(theirs["n_samples"])):
-        first, second = _paired(ours[ours["n_samples"] == n], theirs[theirs["n_samples"] == n])
+        first, second = _paired(
+            ours[ours["n_samples"] == n], theirs[theirs["n_samples"] == n], all(chance)
+        )
         if not len(first):
             continue
         with np.errstate(divide="ignore", invalid="ignore"):  # the exact inverse may have none
@@ -177,9 +183,9 @@ def compare(
     return pd.DataFrame(records, columns=columns)
 
 
-def _paired(first: "pd.DataFrame", second: "pd.DataFrame") -> tuple[Floats, Floats]:
+def _paired(first: "pd.DataFrame", second: "pd.DataFrame", by_seed: bool) -> tuple[Floats, Floats]:
     """Errors of two methods, seed by seed; a pair of which both diverged says nothing."""
-    if len(first) == 1 or len(second) == 1:
+    if not by_seed:
         x, y = (side["error_mm"].to_numpy(float) for side in (first, second))
         x, y = np.broadcast_arrays(x, y)
     else:

@@ -5,13 +5,8 @@ import math
 from iksamples.study import NETWORK, Method, Network, Study, Training
 
 
-_OPTIMIZERS = {
-    "adam": "Adam",
-    "lbfgs": "L-BFGS",
-    "l-bfgs": "L-BFGS",
-    "lm": "Levenberg-Marquardt",
-    "levenberg-marquardt": "Levenberg-Marquardt",
-}
+OPTIMIZERS = {"adam": "Adam", "levenberg-marquardt": "Levenberg-Marquardt"}
+"""Optimisers as people write them."""
 _ACTIVATIONS = {"relu": "ReLU"}
 _OTHERS = {
     "multilinear": "a look-up table of the same samples",
@@ -81,7 +76,7 @@ def network_recipe(method: Method) -> str:
     )
     if training.early_stopping:
         budget = f"up to {budget}"
-    recipe = f"{neurons}, {budget} of {_OPTIMIZERS.get(training.optimizer, training.optimizer)}"
+    recipe = f"{neurons}, {budget} of {OPTIMIZERS[training.optimizer]}"
     return recipe if training.schedule == "constant" else f"{recipe}, {training.schedule} schedule"
 
 

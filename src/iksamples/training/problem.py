@@ -93,17 +93,6 @@ def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Prob
     )
 
 
-def held_out_counts(n: int, held_out: HeldOut) -> tuple[int, int]:
-    """How many of ``n`` grid nodes a seed loses to validation and to test.
-
-    Each share is rounded to the nearest whole number (halves up), so 5 % of 8 samples are none and
-    5 % of 27 are one. At least one node is left to train on.
-    """
-    n_validation = min(int(held_out.validation_share * n + 0.5), n - 1)
-    n_test = min(int(held_out.test_share * n + 0.5), n - 1 - n_validation)
-    return n_validation, n_test
-
-
 def split_grid(seeds: Sequence[int], n: int, held_out: HeldOut) -> tuple[Index, Index, Index]:
     """Takes validation and test points from the grid's nodes, for each seed by itself.
 
@@ -111,7 +100,7 @@ def split_grid(seeds: Sequence[int], n: int, held_out: HeldOut) -> tuple[Index, 
         Rows to train on, to validate on and to test on, each in ascending order, shape (seeds, ..).
     """
     order = permutations(seeds, [HELD_OUT_EPOCH], n)[:, 0]
-    n_validation, n_test = held_out_counts(n, held_out)
+    n_validation, n_test = held_out.counts(n)
     validation, test, train = np.split(order, [n_validation, n_validation + n_test], axis=1)
     return np.sort(train), np.sort(validation), np.sort(test)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
-from iksamples.training.problem import held_out_counts
 from iksamples.training.run import count_trained, train
 
 
@@ -52,9 +51,7 @@ def _trainings(
 ) -> Iterator[tuple[str, SampleSet, Study]]:
     """Every method with every set of samples, and the study as if it had that method alone."""
     for method in methods:
-        held_out = study.all_methods[method].training.held_out
+        training = study.all_methods[method].training
         for samples in sample_sets:
-            n_trained = samples.n_samples
-            if held_out.source == "grid":
-                n_trained -= sum(held_out_counts(n_trained, held_out))
+            n_trained = training.n_trained(samples.n_samples)
             yield method, samples, study.for_method(method, n_trained)
