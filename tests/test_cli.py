@@ -37,6 +37,32 @@ def test_check_says_what_the_arm_can_reach(command):
     assert "workspace: 8200 points: 8200 usable" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (
+            ("prove", "--method", "cubic", "--folder", "f"),
+            "nothing can be proved of 'cubic'; there",
+        ),
+        (("evaluate", "--method", "none", "--folder", "f"), "no method 'none'; there are network"),
+        (("record", "--path", "none", "--results", "r"), "no path 'none'; there are rectangles"),
+        (("table", "--results", "r"), "certificates.csv: there is no such file. Either the name"),
+        (("map", "--results", "r"), "there is no such file. Either the name is wrong"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_what_is_not_there_is_named_without_a_traceback(command, tmp_path, arguments, says):
+    step, *options = arguments
+    samples = [tmp_path / "s"] if step in ("prove", "evaluate") else []
+    output = [] if step in ("table", "map", "evaluate") else ["-o", tmp_path / "out"]
+    options = [tmp_path / option if option in ("r", "f") else option for option in options]
+    done = run(command, step, "config/config.yaml", *samples, *options, *output)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_set_that_is_not_in_the_study_is_named(command, tmp_path):
     done = run(command, "samples", "config/config.yaml", "--name", "grid9", "-o", tmp_path / "x")
     assert done.returncode == 2
