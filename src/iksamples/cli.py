@@ -503,8 +503,8 @@ def main() -> None:
         app()
     except FileNotFoundError as error:
         typer.echo(
-            f"Error: {error.filename or error}: there is no such file. Either the name is wrong, or the "
-            "study is not finished: run it to its end first.",
+            f"Error: {error.filename or error}: there is no such file. Either the name is wrong, "
+            "or the study is not finished: run it to its end first.",
             err=True,
         )
         sys.exit(2)
