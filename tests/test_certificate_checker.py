@@ -307,6 +307,16 @@ def test_the_lower_bound_is_an_error_that_is_taken():
         assert abs(error - exact(certificate.lower_mm)) < 1e-6
 
 
+def test_the_worst_position_is_inside_the_box_to_the_last_place(rng):
+    """For most boxes the lower corner plus the edges is not the upper corner."""
+    gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
+    stack = linear_network(np.zeros((3, 3)), (0, 0, 0))
+    for lower, upper in zip(rng.uniform(-1, 1, (30, 3)), rng.uniform(2, 3, (30, 3)), strict=True):
+        certificate = certify_sup(stack, 0, gantry, lower, upper, keep_leaves=True)
+        np.testing.assert_array_equal(certificate.argmax_mm, upper)
+        assert verify(certificate, stack, 0, gantry).verified
+
+
 def test_the_lower_bound_is_rounded_down():
     """The error at the origin is the root of a whole number."""
     gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))

@@ -13,7 +13,8 @@ from certificate_cases import (
 
 from iksamples.bounds.certificate.dynamic import certify_training, read_snapshots
 from iksamples.bounds.certificate.external import _from_nodes, load_network
-from iksamples.bounds.certificate.search import Leaves, certify_stack, certify_sup
+from iksamples.bounds.certificate.residual import ErrorOverBoxes
+from iksamples.bounds.certificate.search import Leaves, _climb, certify_stack, certify_sup
 from iksamples.errors import IksamplesError
 from iksamples.training.network import write_tensors
 
@@ -53,6 +54,24 @@ def test_two_to_six_inputs(rng, kinds, d, activation):
     taken = certificate.argmax_mm[None]
     error = plain_tip(chain, plain_answer(stack, 0, taken))[:, :k] - taken[:, :k]
     assert np.linalg.norm(error) == pytest.approx(certificate.lower_mm, abs=1e-6)
+
+
+def test_points_climb_but_never_leave_the_region(rng):
+    """The arm stays where it is, so its error grows towards the corners."""
+    chain = random_chain(rng, "RRRRRR")
+    lower, upper = np.full(6, -300.0), np.full(6, 300.0)
+    stack = random_network(rng, (6, 4, 6), "relu", n=2, lower=lower, upper=upper)
+    stack.weights[1][:] = 0
+    errors = ErrorOverBoxes(stack, chain, lower, upper)
+    points, which = rng.uniform(lower, upper, (8, 6)), np.arange(8) % 2
+    values = errors.values(which, points)
+    before = values.copy()
+    _climb(errors, which, points, values)
+    assert np.all((points >= lower) & (points <= upper))
+    assert np.all(values >= before)
+    np.testing.assert_array_equal(values, errors.values(which, points))
+    # Of the convex distance to where the arm stays, only corners are local maxima.
+    np.testing.assert_array_equal(np.abs(points[values.argmax(), :3]), 300.0)
 
 
 def test_no_time_is_still_a_bound(chain, rng):

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from iksamples.bounds.certificate import residual
 from iksamples.bounds.certificate.enclosure import (
+    _tanh,
     corners,
     expand,
     pairs,
@@ -244,6 +245,21 @@ def test_tanh_symbol_is_attained_in_the_limit():
     assert gap / expansion.noise[0, 0, 0] == pytest.approx(1, abs=1e-3)
 
 
+@pytest.mark.parametrize("other", [0.0, 0.01, 0.03])
+def test_what_tanh_makes_of_noise_is_attained(other):
+    """One neuron, z = z0 + 0.02 s + other e, where tanh bends most: s = e = 1 is worst."""
+    z0 = np.arctanh(np.sqrt(1 / 3))
+    rows = np.array([[[z0], [0.02], [0.0], [other]]])
+    half, reach, _ = _tanh(rows, (2, 3), np.ones((1, 1, 1)))
+    s, e = (v.ravel() for v in np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)))
+    kept = np.stack([np.ones_like(s), s, s * s, e]).T @ rows[0, :, 0]
+    apart = np.abs(np.tanh(z0 + 0.02 * s + other * e) - kept)
+    assert apart.max() <= half[0, 0, 0]
+    assert apart[np.abs(s) == 1].max() <= reach[0, 0, 0] * half[0, 0, 0] * (1 + 1e-12)
+    if other:
+        assert apart.max() / half[0, 0, 0] > 0.9
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     seed=SEEDS,
@@ -326,5 +342,5 @@ def test_a_dropped_remainder_is_noticed(monkeypatch, dropped):
         return errors.values(np.zeros(len(x), int), x).max() - bound[0]
 
     assert excess() <= 0
-    monkeypatch.setattr(residual, dropped, lambda *_: np.zeros((1, 2)))
+    monkeypatch.setattr(residual, dropped, lambda *_: np.zeros((1, 1)))
     assert excess() > 0

@@ -314,7 +314,7 @@ def _first_values(
 ) -> tuple[Floats, Floats]:
     """The best values at the corners and the seeds, and where."""
     n, d = objective.n_networks, len(size)
-    points = objective.lower_mm + size * (0.5 + 0.5 * corners(d))
+    points = np.where(corners(d) > 0, objective.upper_mm, objective.lower_mm)
     if seeds_mm is not None:
         seeds = np.array(seeds_mm, float).reshape(-1, d)
         inside = np.all((seeds >= objective.lower_mm) & (seeds <= objective.upper_mm), axis=1)
@@ -368,7 +368,8 @@ def _try(
         return
     points = np.concatenate([centre[top, None], candidate[top]], axis=1)
     owner = np.repeat(which[top], points.shape[1])
-    points = points.reshape(len(owner), -1)
+    # Rounding may have put a corner of the region a last place outside it.
+    points = np.clip(points.reshape(len(owner), -1), objective.lower_mm, objective.upper_mm)
     values = objective.values(owner, points)
     if climb:
         start = np.argsort(best[owner] - values)[:_STARTS]

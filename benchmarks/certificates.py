@@ -1,0 +1,352 @@
+"""Measures the certificates: cost, a dense check, and agreement with another verifier.
+
+    python benchmarks/certificates.py        # about six minutes on one core
+
+Prints what docs/certificates.md states. Networks are trained here, through the arm; the forward
+kinematics and the networks' answers that certificates are held against are written here as well.
+auto_LiRPA is left out where it cannot be imported.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from threadpoolctl import threadpool_limits
+
+from iksamples.bounds.certificate.checker import verify
+from iksamples.bounds.certificate.search import certify_sup
+from iksamples.robot.chain import SerialChain, load_urdf
+from iksamples.training.network import StackedMLP
+
+
+Z, Y = (0, 0, 1), (0, 1, 0)
+F64 = torch.float64
+
+
+def make_chain(axes: list, points: list, tip: tuple) -> SerialChain:
+    """A chain of revolute joints, stretched along an axis at zero."""
+    n = len(axes)
+    return SerialChain(
+        tuple(f"j{i}" for i in range(n)),
+        tuple("revolute" for _ in axes),
+        np.array(axes, float),
+        np.array(points, float),
+        np.array(tip, float),
+        np.full(n, -np.pi),
+        np.full(n, np.pi),
+    )
+
+
+# The paper's arm, one like a UR5 and one like an iiwa, each with a pose in its middle.
+ARMS = {
+    "3R": (load_urdf(Path(__file__).parents[1] / "config/robots/rrr70.urdf"), [0.8, -1.2, -1.6]),
+    "6R": (
+        make_chain(
+            [Z, Y, Y, Y, (0, 0, -1), Y],
+            [(0, 0, 0), (0, 0, 89.2), (425, 0, 89.2), (817.25, 0, 89.2), (817.25, 109.15, 89.2),
+             (817.25, 109.15, -5.45)],
+            (817.25, 191.45, -5.45),
+        ),
+        [0.3, -1.2, 1.7, -0.6, -1.5, 0.2],
+    ),
+    "7R": (
+        make_chain(
+            [Z, Y, Z, (0, -1, 0), Z, Y, Z],
+            [(0, 0, z) for z in (0, 340, 340, 740, 740, 1140, 1140)],
+            (0, 0, 1266),
+        ),
+        [0.2, 0.6, 0.1, -1.4, 0.1, 0.9, 0.0],
+    ),
+}  # fmt: skip
+
+
+def forward(chain: SerialChain, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Tip [mm] and orientation by the product of exponentials."""
+    rotation = torch.eye(3, dtype=F64).expand(len(joints), 3, 3)
+    tip = torch.zeros(len(joints), 3, dtype=F64)
+    for i, (axis, point) in enumerate(zip(chain.axes, chain.points_mm, strict=True)):
+        x, y, z = axis / np.linalg.norm(axis)
+        skew = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=F64)
+        sine, cosine = torch.sin(joints[:, i, None, None]), torch.cos(joints[:, i, None, None])
+        turn = torch.eye(3, dtype=F64) + sine * skew + (1 - cosine) * (skew @ skew)
+        shift = torch.tensor(point) - turn @ torch.tensor(point)
+        tip, rotation = tip + (rotation @ shift[:, :, None])[:, :, 0], rotation @ turn
+    return tip + rotation @ torch.tensor(chain.tip_mm), rotation
+
+
+def rotations(vectors: torch.Tensor) -> torch.Tensor:
+    """Rotation matrices of rotation vectors."""
+    skew = torch.zeros(len(vectors), 3, 3, dtype=F64)
+    x, y, z = vectors.T
+    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 0] = -z, y, z
+    skew[:, 1, 2], skew[:, 2, 0], skew[:, 2, 1] = -x, -y, x
+    return torch.linalg.matrix_exp(skew)
+
+
+Case = tuple[SerialChain, StackedMLP, np.ndarray, np.ndarray]
+
+
+def train(arm: str, task: str, hidden: tuple[int, ...], activation: str, seed: int) -> Case:
+    """A network trained through the arm: 1500 steps of Adam, batches of 128.
+
+    Half of each batch is pressed onto the faces of the box, since a grid's samples are there too.
+
+    Args:
+        arm: Key of ``ARMS``.
+        task: "position": three inputs. "pose": position and orientation, in a cube of 200 mm and
+            0.3 rad either way about each axis. "posture": position and the last three joints, in a
+            cube of 400 mm and 0.6 rad either way.
+        hidden: Widths of the hidden layers.
+        activation: "relu" or "tanh".
+        seed: Seed of the weights and the batches.
+    """
+    chain, middle = ARMS[arm]
+    pose = torch.tensor(middle, dtype=F64)
+    torch.manual_seed(seed)
+    tip, upright = forward(chain, pose[None])
+    centre, half = tip[0].numpy(), 200.0 if task == "posture" else 100.0
+    if arm == "3R":
+        centre, half = np.array([50.0, 50.0, 30.0]), 30.0
+    lower, upper = centre - half, centre + half
+    if task != "position":
+        more = np.zeros(3) if task == "pose" else np.array(middle[3:])
+        turn = 0.3 if task == "pose" else 0.6
+        lower, upper = np.r_[lower, more - turn], np.r_[upper, more + turn]
+    layers: list[torch.nn.Module] = []
+    for a, b in pairwise((len(lower), *hidden, chain.n_joints)):
+        kind = torch.nn.ReLU if activation == "relu" else torch.nn.Tanh
+        layers += [torch.nn.Linear(a, b, dtype=F64), kind()]
+    net = torch.nn.Sequential(*layers[:-1])
+    linear = [layer for layer in net if isinstance(layer, torch.nn.Linear)]
+    with torch.no_grad():
+        linear[-1].bias.add_(pose)
+    low, size = torch.tensor(lower), torch.tensor(upper - lower)
+    adam = torch.optim.Adam(net.parameters(), lr=3e-3)
+    rate = torch.optim.lr_scheduler.CosineAnnealingLR(adam, 1500, 1e-4)
+    for _ in range(1500):
+        share = torch.rand(128, len(lower), dtype=F64)
+        share[:64] = torch.where(torch.rand(64, len(lower)) < 0.5, share[:64].round(), share[:64])
+        goal, joints = low + size * share, net(share)
+        tip, rotation = forward(chain, joints)
+        loss = ((tip - goal[:, :3]) ** 2).sum(1).mean()
+        if task == "pose":
+            apart = rotation - rotations(goal[:, 3:]) @ upright[0]
+            loss = loss + 0.5 * 100.0**2 * (apart**2).sum((1, 2)).mean()
+        elif task == "posture":
+            loss = loss + 100.0**2 * ((joints[:, 3:] - goal[:, 3:]) ** 2).sum(1).mean()
+        else:
+            loss = loss + ((joints - pose) ** 2).sum(1).mean()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+        rate.step()
+    with torch.no_grad():
+        weights = [layer.weight.T.numpy().astype(np.float32)[None] for layer in linear]
+        biases = [layer.bias.numpy().astype(np.float32)[None] for layer in linear]
+    stack = StackedMLP(
+        tuple(weights), tuple(biases), activation, lower, upper - lower, (seed,)
+    )  # fmt: skip
+    return chain, stack, lower, upper
+
+
+def cost(title: str, cases: list[Case], rtol: float) -> None:
+    """Prints a row of the table."""
+    seconds, boxes, complete, sizes = [], [], True, []
+    for chain, stack, lower, upper in cases:
+        times = []
+        for _ in range(5 if len(lower) == 3 else 1):
+            began = time.perf_counter()
+            found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol)
+            times.append(time.perf_counter() - began)
+        seconds.append(1e3 * np.median(times))
+        boxes.append(found.boxes)
+        sizes.append(found.upper_mm)
+        complete &= found.complete
+    print(
+        f"| {title} | {len(cases)} | {rtol:.1%} | {min(sizes):.1f} to {max(sizes):.1f} "
+        f"| {np.median(seconds):.1f} | {max(seconds):.1f} "
+        f"| {np.median(boxes):.0f} | {max(boxes)} |{'' if complete else ' INCOMPLETE'}",
+        flush=True,
+    )
+
+
+def plain_errors(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
+    """Errors [mm] on the paper's arm, whose forward kinematics is written out."""
+    hidden = (points - stack.offset_mm) / stack.scale_mm
+    for depth, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
+        hidden = hidden @ np.float64(weight[0]) + np.float64(bias[0])
+        if depth + 1 < len(stack.weights):
+            hidden = np.tanh(hidden) if stack.activation == "tanh" else hidden * (hidden > 0)
+    q1, q2, q3 = hidden.T
+    radius = -70 * (np.sin(q2) + np.sin(q2 + q3))
+    x, y, z = points.T
+    return np.sqrt(
+        (radius * np.cos(q1) - x) ** 2
+        + (radius * np.sin(q1) - y) ** 2
+        + (70 + 70 * (np.cos(q2) + np.cos(q2 + q3)) - z) ** 2
+    )
+
+
+def dense(cases: list[Case], n: int = 10**7) -> None:
+    """Holds certificates against dense points."""
+    rng = np.random.default_rng(0)
+    above, parts = 0, []
+    for chain, stack, lower, upper in cases:
+        found = certify_sup(stack, 0, chain, lower, upper)
+        largest = 0.0
+        for _ in range(n // 50_000):
+            errors = plain_errors(stack, rng.uniform(lower, upper, (50_000, 3)))
+            above += int((errors > found.upper_mm).sum())
+            largest = max(largest, float(errors.max()))
+        parts.append(largest / found.upper_mm)
+    print(
+        f"{len(cases)} networks, {n:.0e} points each: {above} above; the largest of the points is "
+        f"{min(parts):.1%} to {max(parts):.2%} of the bound",
+        flush=True,
+    )
+
+
+def checked(cases: list[Case], rtol: float) -> None:
+    """Has the checker prove certificates again, with every rounding counted."""
+    seconds, apart, leaves, proved = [], [], [], 0
+    for chain, stack, lower, upper in cases:
+        found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol, keep_leaves=True)
+        began = time.perf_counter()
+        result = verify(found, stack, 0, chain)
+        seconds.append(time.perf_counter() - began)
+        proved += result.verified
+        apart.append(found.upper_mm - result.upper_mm)
+        leaves.append(result.leaves)
+    print(
+        f"checker: {proved} of {len(cases)} proved, bounds at most {max(apart):.1e} mm below the "
+        f"search's; median {np.median(leaves):.0f} leaves in {np.median(seconds):.2f} s, "
+        f"at most {max(leaves)} in {max(seconds):.2f} s",
+        flush=True,
+    )
+
+
+def lirpa_bounds(stack: StackedMLP) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
+    """Upper bounds of the error over boxes by auto_LiRPA's CROWN, float32."""
+    from auto_LiRPA import BoundedModule, BoundedTensor, PerturbationLpNorm
+
+    # The paper's arm as sums of sines of sums of the joints, which CROWN bounds as they stand.
+    angles = torch.tensor([[1, 1, 0], [-1, 1, 0], [1, 1, 1], [-1, 1, 1], [0, 1, 0], [0, 1, 1]])
+    links = torch.zeros(3, 10)
+    links[0, :4] = -35.0
+    links[1, 4:8] = torch.tensor([35.0, -35.0, 35.0, -35.0])
+    links[2, 8:] = 70.0
+
+    class Miss(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            kind = torch.nn.ReLU if stack.activation == "relu" else torch.nn.Tanh
+            parts: list[torch.nn.Module] = []
+            for weight, bias in zip(stack.weights, stack.biases, strict=True):
+                layer = torch.nn.Linear(*weight.shape[1:])
+                layer.weight.data = torch.tensor(weight[0].T).clone()
+                layer.bias.data = torch.tensor(bias[0])
+                parts += [layer, kind()]
+            self.net = torch.nn.Sequential(*parts[:-1])
+            self.sums = torch.nn.Linear(3, 10)
+            self.sums.weight.data = torch.cat([angles[:4], angles[:4], angles[4:]]).float()
+            self.sums.bias.data = torch.tensor([0.0] * 4 + [np.pi / 2] * 6)
+            self.tip = torch.nn.Linear(10, 3)
+            self.tip.weight.data = links
+            self.tip.bias.data = torch.tensor([0.0, 0.0, 70.0])
+            self.own = torch.nn.Linear(3, 3)
+            self.own.weight.data = torch.diag(torch.tensor(np.float32(stack.scale_mm)))
+            self.own.bias.data = torch.tensor(np.float32(stack.offset_mm))
+
+        def forward(self, share: torch.Tensor) -> torch.Tensor:
+            return self.tip(torch.sin(self.sums(self.net(share)))) - self.own(share)
+
+    model = BoundedModule(Miss(), torch.zeros(2, 3))
+
+    def bound(low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+        region = PerturbationLpNorm(norm=np.inf, x_L=low, x_U=high)
+        below, above = model.compute_bounds(
+            x=(BoundedTensor(0.5 * (low + high), region),), method="CROWN"
+        )
+        return torch.maximum(below.abs(), above.abs()).norm(dim=1).detach()
+
+    return bound
+
+
+def agreement(cases: list[Case], rtol: float = 0.05) -> None:
+    """Certifies the same networks with auto_LiRPA by plain branch and bound."""
+    both, seconds, mine, ratios = 0, [], [], []
+    for chain, stack, lower, upper in cases:
+        began = time.perf_counter()
+        found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol)
+        mine.append(time.perf_counter() - began)
+        bounds, largest, settled = lirpa_bounds(stack), 0.0, 0.0
+        began = time.perf_counter()
+        corners = lower + (upper - lower) * np.stack(np.meshgrid(*[[0, 1]] * 3), -1).reshape(-1, 3)
+        largest = float(plain_errors(stack, corners).max())
+        low, high = torch.zeros(1, 3), torch.ones(1, 3)
+        while len(low) and time.perf_counter() - began < 30:
+            ends = torch.stack([low, high, 0.5 * (low + high)]).numpy().reshape(-1, 3)
+            points = lower + (upper - lower) * ends.astype(float)
+            largest = max(largest, float(plain_errors(stack, points).max()))
+            above = bounds(low, high)
+            done = above <= (1 + rtol) * largest
+            settled = max(settled, float(above[done].max()) if done.any() else 0.0)
+            low, high = low[~done], high[~done]
+            if len(low):
+                axis = (high - low).argmax(1, keepdim=True)
+                middle = 0.5 * (low.gather(1, axis) + high.gather(1, axis))
+                low, high = (
+                    torch.cat([low, low.scatter(1, axis, middle)]),
+                    torch.cat([high.scatter(1, axis, middle), high]),
+                )
+        seconds.append(time.perf_counter() - began)
+        if not len(low):
+            both += found.lower_mm <= settled and largest <= found.upper_mm
+            ratios.append(found.upper_mm / settled)
+    print(
+        f"auto_LiRPA: {both} of {len(cases)} networks agree (finished {len(ratios)}); our upper / "
+        f"its upper {min(ratios):.3f} to {max(ratios):.3f}; median {np.median(seconds):.2f} s "
+        f"beside {np.median(mine) * 1e3:.1f} ms, max {max(seconds):.2f} s"
+    )
+
+
+def main() -> None:
+    """Trains, measures and prints."""
+    torch.set_num_threads(1)
+    threadpool_limits(1)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    with Path("/proc/cpuinfo").open() as lines:
+        print(next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "?"))
+    print(f"numpy {np.__version__}, torch {torch.__version__}, one core")
+    small: list[Case] = []
+    for arm, task, hidden, seeds, rtol in (
+        ("3R", "position", (16,), 5, 0.01),
+        ("3R", "position", (16, 16), 5, 0.01),
+        ("6R", "position", (32, 32), 5, 0.01),
+        ("7R", "position", (32, 32), 5, 0.01),
+        ("6R", "pose", (32,), 3, 0.05),
+        ("6R", "posture", (32,), 3, 0.05),
+        ("6R", "pose", (32, 32), 3, 0.05),
+        ("6R", "posture", (32, 32), 3, 0.05),
+    ):
+        for activation in ("relu", "tanh"):
+            cases = [train(arm, task, hidden, activation, seed) for seed in range(seeds)]
+            small += cases if arm == "3R" else []
+            shape = "-".join(str(len(b[0])) for b in cases[0][1].biases)
+            cost(f"{arm} {task}, {len(cases[0][2])}-{shape} {activation}", cases, rtol)
+    checked(small, 0.01)
+    checked([train("6R", "pose", (32,), kind, 0) for kind in ("relu", "tanh")], 0.05)
+    dense(small)
+    try:
+        agreement(small[::4])
+    except ImportError as error:
+        print(f"second verifier left out: {error}")
+
+
+if __name__ == "__main__":
+    main()
