@@ -72,7 +72,8 @@ class Plan:
         is one that waits for the answer; the others share the cores.
         """
         parts = {step.step: step for step in self.steps}
-        alone = parts["samples"].seconds / cores
+        alone = _SNAKEMAKE + _SCHEDULING * sum(step.jobs for step in self.steps)
+        alone += parts["samples"].seconds / cores
         alone += sum(parts[step].seconds for step in ("train", "calibrate") if step in parts)
         rest = [step for step in self.steps if step.step not in ("samples", "train", "calibrate")]
         shared = sum(step.seconds for step in rest) / cores
@@ -110,7 +111,7 @@ def plan_text(study: Study, plan: Plan, cores: int) -> str:
     """
     sets = sample_sets(study)
     sizes = sorted({m**3 for _, m in sets.values()})
-    wide = max(len("all methods"), *(len(one.method) for one in plan.methods))
+    wide = max(len("method"), *(len(one.method) for one in plan.methods))
     rows = [f"{'method':{wide}}  networks  to train  steps at most  training"]
     total = MethodPlan(
         "in all",
@@ -152,8 +153,13 @@ def in_words(seconds: float) -> str:
 
 
 # Seconds of one core. A job's start is Python with what it imports.
-_START = {"samples": 0.5, "train": 7.0, "evaluate": 1.3, "bounds": 1.2, "prove": 0.8, "map": 1.0}
-_START |= {
+_START = {
+    "samples": 0.5,
+    "train": 7.0,
+    "evaluate": 1.3,
+    "bounds": 1.2,
+    "prove": 0.8,
+    "map": 1.0,
     "table": 0.5,
     "answer": 1.5,
     "calibrate": 7.0,
@@ -161,6 +167,8 @@ _START |= {
     "record": 1.0,
     "report": 5.0,
 }
+_SNAKEMAKE, _SCHEDULING = 4.0, 0.4
+"""Of Snakemake itself: to begin with, and per job."""
 _FIT = 0.03
 """Start of one training of all seeds."""
 _EPOCH = 18e-6

@@ -15,6 +15,7 @@ from iksamples.report.wording import (
     joined,
     path_name,
     percent,
+    ratio_cells,
     thousands,
 )
 from iksamples.results import Cell
@@ -138,15 +139,8 @@ def _pairs(theirs: pd.DataFrame, own: pd.DataFrame, quantity: str) -> pd.DataFra
 def _row(data: ReportData, name: str, pairs: dict[str, pd.DataFrame]) -> list[str | Number]:
     row: list[str | Number] = [name]
     for quantity in _QUANTITIES:
-        at = pairs[quantity].set_index("n_samples")
-        for grid in data.grids:
-            if grid.n not in at.index:
-                row.append("")
-                continue
-            found = at.loc[grid.n]
-            text = f"{100 * found['ratio']:.0f}"
-            sure = found["ratio_high"] < 1 or found["ratio_low"] > 1
-            row.append(f"**{text}**" if sure else text)
+        cells = ratio_cells(pairs[quantity])
+        row += [cells.get(grid.n, "") for grid in data.grids]
     return row
 
 
@@ -170,7 +164,7 @@ def _paragraph(
     sentences.append(f"Its worst error in the workspace is {_ratio(worst)} with {_samples(worst)}.")
     if len(data.grids) > 1:
         sentences.append(_levelling(data, theirs, own))
-    return " ".join(sentences)
+    return " ".join(filter(None, sentences))
 
 
 def _samples(row: "pd.Series[float]") -> str:
@@ -188,21 +182,22 @@ def _ratio(row: "pd.Series[float]") -> str:
 
 def _how_often(path: pd.DataFrame) -> str:
     """At how many sizes the difference is beyond the scatter of the seeds."""
-    better, worse = int((path["ratio_high"] < 1).sum()), int((path["ratio_low"] > 1).sum())
+    sizes = len(path)
     if not np.isfinite(path["ratio_low"]).any():
         return "So few seeds cannot say how sure that is."
-    sizes = len(path)
-    if sizes in (better, worse) and sizes > 1:
-        return f"It is {'smaller' if better else 'larger'} at all {sizes} sizes."
-    counts = f"smaller at {better or 'none'} of {sizes} sizes, larger at {worse or 'none'}"
-    same = int(((path["ratio_low"] == 1) & (path["ratio_high"] == 1)).sum())
-    unclear = sizes - better - worse - same
-    more = [f"equal at {same}"] if same else []
-    if unclear:
-        more.append(f"lost in the scatter of the seeds at {unclear}")
     if sizes == 1:
         return ""
-    return f"It is {joined([counts, *more]) if more else counts}."
+    better, worse = int((path["ratio_high"] < 1).sum()), int((path["ratio_low"] > 1).sum())
+    if sizes in (better, worse):
+        return f"It is {'smaller' if better else 'larger'} at all {sizes} sizes."
+    same = int(((path["ratio_low"] == 1) & (path["ratio_high"] == 1)).sum())
+    unclear = sizes - better - worse - same
+    parts = [f"smaller at {better or 'none'} of {sizes} sizes, larger at {worse or 'none'}"]
+    if same:
+        parts.append(f"equal at {same}")
+    if unclear:
+        parts.append(f"lost in the scatter of the seeds at {unclear}")
+    return f"It is {joined(parts)}."
 
 
 def _levelling(data: ReportData, theirs: pd.DataFrame, own: pd.DataFrame) -> str:

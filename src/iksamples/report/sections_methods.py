@@ -7,7 +7,7 @@ from iksamples.report import figures_answer
 from iksamples.report.blocks import Block, Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.figures_answer import QUANTITIES, legend_name
-from iksamples.report.wording import count, joined, path_name, thousands
+from iksamples.report.wording import count, joined, path_name, ratio_cells, thousands
 from iksamples.sizing.finding import STREAM
 from iksamples.sizing.statistics import compare
 from iksamples.sizing.words import placed_as
@@ -76,10 +76,9 @@ def placing(data: ReportData) -> Section | None:
         for design in designs[1:]:
             rng = np.random.default_rng(STREAM)
             chance = (method.kind == "network",) * 2
-            pairs = compare(own[own["design"] == design], reference, rng, chance)
-            pairs = pairs.set_index("n_samples")
-            cells = [_share(pairs.loc[n]) if n in pairs.index else "" for n in sizes]
-            if any(cells):
+            found = ratio_cells(compare(own[own["design"] == design], reference, rng, chance))
+            if found:
+                cells = [found.get(int(n), "") for n in sizes]
                 rows.append([legend_name(data.study, name), design, *cells])
         texts.append(Text(_best_design(legend_name(data.study, name), own, designs[0])))
     columns = [
@@ -106,12 +105,6 @@ def placing(data: ReportData) -> Section | None:
         "Where the samples are",
         [Text(text), Table(columns, rows, caption, "table-placing"), *texts],
     )
-
-
-def _share(found: "pd.Series[float]") -> str:
-    text = f"{100 * found['ratio']:.0f}"
-    sure = found["ratio_high"] < 1 or found["ratio_low"] > 1
-    return f"**{text}**" if sure else text
 
 
 def _best_design(name: str, own: pd.DataFrame, first: str) -> str:

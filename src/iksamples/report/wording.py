@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
 from iksamples.report.data import ReportData
 from iksamples.study import DoubleRectangle, Study, Training
@@ -50,6 +51,18 @@ def budget(training: Training) -> str:
     if training.steps:
         return f"{count(training.steps, 'step')} at every size"
     return count(training.epochs, "epoch")
+
+
+def ratio_cells(pairs: pd.DataFrame) -> dict[int, str]:
+    """What ``compare`` found at each number of samples, in per cent.
+
+    Bold where the interval leaves out 100 %.
+    """
+    cells = {}
+    for n, ratio, low, high in pairs[["n_samples", "ratio", "ratio_low", "ratio_high"]].to_numpy():
+        text = f"{100 * ratio:.0f}"
+        cells[int(n)] = f"**{text}**" if high < 1 or low > 1 else text
+    return cells
 
 
 def joined(items: Sequence[str], last: str = "and") -> str:
