@@ -180,6 +180,44 @@ def test_a_study_is_a_tree_of_runs(small: Study, results: list[Cell], uri: str) 
     assert runs[STUDY_KEY].data.tags["iksamples.study"] == small.digest()
 
 
+def test_every_other_method_is_a_curve(small: Study, results: list[Cell], uri: str) -> None:
+    """Beside the study's, and named as it is, so that MLflow draws them in one chart."""
+    settings = small.model_dump(mode="json")
+    settings["methods"] = {"wide": {"network": {"hidden": [32]}}, "table": {"kind": "multilinear"}}
+    study = parse_study(settings)
+    proofs = []
+    for cell, factor in zip(results, (2.0, 3.0), strict=True):
+        errors = cell.table("errors")
+        errors = errors.assign(**{c: errors[c] * factor for c in errors if c.endswith("_mm")})
+        for method, rows in (("wide", errors), ("table", errors[errors["seed"] == SEEDS[0]])):
+            folder = cell.results / method / cell.label
+            folder.mkdir(parents=True)
+            rows.to_parquet(folder / "errors.parquet")
+        members = cell.table("members")
+        members.loc[0, "diverged"] = True
+        members.to_parquet(cell.results / "wide" / cell.label / "members.parquet")
+        key = {"method": "wide", "label": cell.label, "n_samples": cell.samples.n_samples}
+        key |= {"samples_per_axis": cell.samples.points_per_axis, "verified": True}
+        proofs += [{**key, "seed": s, "sup_lower_mm": 1.0, "sup_upper_mm": 9.0 + s} for s in SEEDS]
+    pd.DataFrame(proofs).to_csv(results[0].results / "certificates.csv", index=False)
+    log(study, results)
+    runs = runs_by_key(uri)
+    client = connect(uri)
+    assert len(runs) == RUNS + 2
+    wide, table = runs["methods/wide/grid"], runs["methods/table/grid"]
+    for cell, factor, n in zip(results, (2.0, 3.0), (8, 27), strict=True):
+        errors = cell.table("errors").set_index(["region", "seed"])["error_mean_mm"]
+        for run, of_seeds in ((wide, SEEDS[1:]), (table, SEEDS[:1])):
+            curve = client.get_metric_history(run.info.run_id, "cube_error_mean_mm")
+            value = {point.step: point.value for point in curve}[n]
+            assert value == pytest.approx(factor * errors["cube"][list(of_seeds)].mean())
+    assert wide.data.metrics["sup_worst_mm"] == 9.0 + SEEDS[-1]
+    assert "sup_worst_mm" not in table.data.metrics
+    assert wide.data.params["hidden"] == "32"
+    assert table.data.params["kind"] == "multilinear"
+    assert runs[STUDY_KEY].data.metrics.keys() >= {"cube_error_mean_mm", "error_max_mm"}
+
+
 def test_runs_name_the_commit(small: Study) -> None:
     assert "mlflow.source.git.commit" not in source_tags(small)
     git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c"]

@@ -2,7 +2,8 @@
 Tracking: one job writes all runs to MLflow, since parallel writers race on a new SQLite file.
 
 REQUIRED INPUTS
-    results/<study>/table.csv and everything in results/<study>/network/
+    results/<study>/table.csv, certificates.csv, <method>/<samples>/errors.parquet
+    everything in results/<study>/network/
 OUTPUTS
     results/<study>/tracking.json (what was logged), and the runs themselves
 """
@@ -12,6 +13,11 @@ rule track:
     """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
     input:
         table="results/{study}/table.csv",
+        errors=expand(
+            "results/{{study}}/{method}/{samples}/errors.parquet",
+            method=STUDY.all_methods,
+            samples=LABELS,
+        ),
     output:
         "results/{study}/tracking.json",
     log:

@@ -56,8 +56,8 @@ def cost(data: ReportData) -> Section | None:
     steps = sum(float(grid.members["steps"].sum()) for grid in data.grids)
     text = (
         f"{count(networks, 'network')} took {thousands(steps)} optimiser steps in all. Jobs run "
-        "side by side, so the whole run is shorter than the sum. The report’s own job, and those that "
-        "end after it began, are not in it."
+        "side by side, so the whole run is shorter than the sum. The report’s own job and those "
+        "that end after it began are not in it."
     )
     caption = (
         f"Cost of each step. Data: `{(data.results / 'benchmarks').as_posix()}`; a job that ends "

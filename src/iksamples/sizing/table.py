@@ -72,7 +72,7 @@ def study_table(
             "n_seeds": len(members),
             "n_diverged": len(members) - len(sound),
         }
-        row |= _over_seeds(errors.loc[[first_path]], "", spacing_mm)
+        row |= over_seeds(errors.loc[[first_path]], "", spacing_mm)
         row["estimate_mm"] = bounds[f"estimate_{name}_mm"].mean()
         row["wbar"] = bounds[f"wbar_{name}"].mean()
         row["above_estimate"] = bounds[f"above_{name}"].mean()
@@ -89,13 +89,19 @@ def study_table(
                 paper.average_weight_of(on_paper["paper_estimate_mm"], m**3, scale_mm(study))
             )
         )
-        row |= _over_seeds(errors.loc[[CUBE]], "cube_", spacing_mm)
+        row |= over_seeds(errors.loc[[CUBE]], "cube_", spacing_mm)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _over_seeds(errors: "pd.DataFrame", prefix: str, spacing_mm: float) -> dict[str, object]:
-    """Statistics over seeds of one region's errors."""
+def over_seeds(errors: "pd.DataFrame", prefix: str, spacing_mm: float) -> dict[str, float]:
+    """Statistics over seeds of one region's errors.
+
+    Args:
+        errors: Rows of ``errors.parquet`` of one region, one per sound seed.
+        prefix: Put before each name.
+        spacing_mm: Spacing of the grid [mm].
+    """
     mean = errors["error_mean_mm"].mean()
     return {
         f"{prefix}error_mean_mm": mean,

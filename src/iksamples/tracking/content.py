@@ -1,4 +1,8 @@
-"""What is logged to MLflow: a run for the study, one per grid below it, one per seed below that."""
+"""What is logged to MLflow: a run for the study, one per grid below it, one per seed below that.
+
+Every other method, and the study's network on every other design, gets one run with its errors as
+curves over the number of samples, beside the study's own.
+"""
 
 import hashlib
 import json
@@ -11,9 +15,11 @@ import numpy as np
 
 from iksamples.evaluation.errors import CUBE
 from iksamples.recording.colours import RED, Colour, blues
-from iksamples.results import Cell
+from iksamples.results import Cell, cells
 from iksamples.samples.dataset import AXES
-from iksamples.study import Study
+from iksamples.sizing.outcomes import certificates
+from iksamples.sizing.table import over_seeds
+from iksamples.study import NETWORK, Study
 
 
 if TYPE_CHECKING:
@@ -73,7 +79,7 @@ class RunContent:
     """
 
     key: str
-    kind: Literal["study", "grid", "seed"]
+    kind: Literal["study", "grid", "seed", "method"]
     name: str
     parent: str | None
     note: str
@@ -114,6 +120,7 @@ def study_runs(study: Study, cells: Iterable[Cell], table_path: Path) -> Iterato
     for cell, grid in zip(cells, grids, strict=True):
         yield grid
         yield from _seed_runs(study, cell, grid)
+    yield from _method_runs(study, table_path.parent)
 
 
 def study_params(study: Study) -> dict[str, str]:
@@ -247,6 +254,58 @@ def _seed_runs(study: Study, cell: Cell, grid: RunContent) -> Iterator[RunConten
             _finite(metrics),
             colour=grid.colour,
         )
+
+
+def _method_runs(study: Study, results: Path) -> Iterator[RunContent]:
+    """A run for each method and design but the study's own, with metrics named as the study's."""
+    proofs = certificates(results)
+    for name, method in study.all_methods.items():
+        for design in study.samples.designs:
+            if (name, design) == (NETWORK, study.samples.design):
+                continue
+            metrics = [
+                metric
+                for cell in cells(study, results, name, design)
+                for metric in _method_metrics(study, cell, proofs)
+            ]
+            if not metrics:
+                continue
+            params = {"method": name, "kind": method.kind, "design": design}
+            if method.kind == "network":
+                own = {"network": method.network, "training": method.training}
+                params |= study_params(study.model_copy(update=own))
+                params["n_seeds"] = str(method.training.seeds)
+            where = f" on {design}" if len(study.samples.designs) > 1 else ""
+            yield RunContent(
+                f"methods/{name}/{design}",
+                "method",
+                f"{name}{where}: all sample sizes",
+                STUDY_KEY,
+                f"Errors over the number of samples, which is the step. {_about_errors(study)}",
+                params,
+                _finite(metrics),
+            )
+
+
+def _method_metrics(
+    study: Study, cell: Cell, proofs: "pd.DataFrame | None"
+) -> Iterator[tuple[str, float, int]]:
+    """A method's errors on one set of samples: mean over its sound seeds, and certified."""
+    errors = cell.table("errors")
+    if (cell.folder / "members.parquet").exists():
+        members = cell.table("members")
+        errors = errors[errors["seed"].isin(members.loc[~members["diverged"], "seed"])]
+    n = cell.samples.n_samples
+    for region, prefix in ((next(iter(study.evaluation.paths)), ""), (CUBE, "cube_")):
+        own = errors[errors["region"] == region]
+        if own.empty:
+            return  # the method cannot use these samples
+        statistics = over_seeds(own, prefix, cell.samples.spacing_mm)
+        yield from ((name, value, n) for name, value in statistics.items())
+    if proofs is not None:
+        own = proofs[(proofs["method"] == cell.method) & (proofs["label"] == cell.label)]
+        yield "sup_median_mm", float(own["sup_upper_mm"].median()), n
+        yield "sup_worst_mm", float(own["sup_upper_mm"].max()), n
 
 
 def _hex(colour: Colour) -> str:

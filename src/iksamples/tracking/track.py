@@ -33,8 +33,8 @@ def track(
     """Brings a study's MLflow experiment in line with its results.
 
     The experiment has the study's name: one run for the study, below it one per grid, below that
-    one per seed. What is there already with the same content is kept, so that it can be done again
-    at any time, also after it was cut off.
+    one per seed, and one for every other method. What is there already with the same content is
+    kept, so that it can be done again at any time, also after it was cut off.
 
     Args:
         study: The study.
@@ -112,7 +112,8 @@ def _note(study: Study, experiment_id: str) -> str:
         "How the position error of a learned inverse kinematics falls with more samples: "
         f"[charts]({page(experiment_id)}).\n\n"
         f"{study.title}\n\n"
-        "One run for the study, below it one per grid, below each grid one per seed. The step of "
+        "One run for the study, below it one per grid, below each grid one per seed, and one for "
+        "every other method. The step of "
         "an error is the number of samples, the step of a loss is the epoch. Lengths in mm, losses "
         "in rad²."
     )
