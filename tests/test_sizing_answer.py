@@ -239,6 +239,21 @@ class TestWords:
             "the same samples needs 125 (measured at 8\u202f200 points, not certified: 1.41 mm)."
         )
 
+    def test_what_a_proof_takes_is_said_where_the_best_is_only_measured(self):
+        study = make_study(methods={**METHODS, "cubic": {"kind": "cubic"}})
+        rows = pd.concat(
+            [
+                make_rows({3: met(0), 4: met(0), 5: met(0)}, certified=True),
+                make_rows({3: [1.5], 4: [0.4], 5: [0.1]}, "cubic"),
+                make_rows({3: [3], 4: [2.1], 5: [1.41]}, "table", certified=True),
+            ]
+        )
+        assert answer(study, rows, []).headline.endswith(
+            "27 samples and a cubic spline through the same samples (measured at 8\u202f200 "
+            "points, not certified: 1.50 mm); a look-up table of the same samples needs 125 "
+            "(certified: 1.41 mm); the paper's training needs more than 125."
+        )
+
     def test_nothing_certified(self):
         one = answer(make_study(), make_rows({2: met(0), 3: met(20)}), [])
         assert one.headline == (

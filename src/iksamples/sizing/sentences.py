@@ -34,8 +34,10 @@ def headline(study: Study, findings: list[Finding]) -> str:
     networks = [one for one in answered if _kind(study, one) == "network"]
     own = [one for one in findings if one.line.method == NETWORK]
     rest = [one for one in answered if _kind(study, one) != "network"]
+    # Who wants a proof, and not a measurement, is told what that takes.
+    proved = [one for one in answered if _certified(one) and not _certified(best[0])]
     others: list[Finding] = []
-    for one in (*networks[:1], *own[:1], *rest[:1]):
+    for one in (*networks[:1], *proved[:1], *own[:1], *rest[:1]):
         if one not in (*best, *others):
             others.append(one)
     clauses = [_lead(study, one) for one in best]
