@@ -190,8 +190,10 @@ def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, chain,
     run.train(study, [samples], [tmp_path], progress=True)
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"{tmp_path.parent.name}/grid2: 8 samples, 2 seeds, 2 epochs, ")
+    assert err.startswith("grid2: 8 samples, 2 seeds, 2 epochs, ")
     assert err.count("\n") == 1
+    run.train(study, [samples], [tmp_path / "tanh/grid2"], progress=True)
+    assert capsys.readouterr().err.startswith("tanh/grid2: 8 samples")
     run.train(study, [samples], [tmp_path])
     assert capsys.readouterr() == ("", "")
 

@@ -43,8 +43,7 @@ def train(
         sample_sets: The samples, one set per grid.
         outputs: The folder of each set.
         cache: Folder of trained seeds; None: keep none.
-        progress: Report on stderr: a bar in a terminal, else a line per set, under the name
-            of its folder and the one above.
+        progress: Report on stderr: a bar in a terminal, else a line per set.
     """
     engine = choose_engine(study)
     store = Cache(cache)
@@ -64,7 +63,9 @@ def train(
             sample_sets, outputs, keys, found, missing, strict=True
         ):
             start = time.perf_counter()
-            name = f"{folder.parent.name}/{samples.label}"
+            name = samples.label
+            if folder.name == name:  # <method>/<samples>
+                name = f"{folder.parent.name}/{name}"
             for first in range(0, len(seeds), SEEDS_AT_ONCE):
                 part = seeds[first : first + SEEDS_AT_ONCE]
                 if bar:
