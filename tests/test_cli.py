@@ -23,11 +23,17 @@ def run(*arguments):
 def test_every_command_has_help(command):
     top = run(command, "--help")
     assert top.returncode == 0
-    listed = [line.split()[1] for line in top.stdout.splitlines() if line.startswith("│ ")]
+    commands = top.stdout.split("Commands:")[1]
+    listed = [line.split()[0] for line in commands.splitlines() if line.startswith("  ")]
     steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "map", "table", "answer",
              "recommend", "calibrate", "plan", "next", "track", "record", "report", "certify",
              "handbook"}  # fmt: skip
     assert steps <= set(listed)
+
+
+def test_help_keeps_its_units(command):
+    text = " ".join(run(command, "certify", "--help").stdout.split())
+    assert "Workspace [mm]: lower x y z, upper x y z." in text
 
 
 def test_check_says_what_the_arm_can_reach(command):

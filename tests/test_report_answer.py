@@ -14,6 +14,7 @@ from test_report import ROOT, SMALL, cells_of, finished, random_features
 from iksamples.bounds.certify_step import certify
 from iksamples.evaluation.step import evaluate
 from iksamples.report import (
+    figures_answer,
     sections_answer,
     sections_certified,
     sections_changes,
@@ -111,6 +112,19 @@ def test_the_answer_comes_first(answered: tuple[Study, Path, Path], data: Report
     text = (answered[2] / "README.md").read_text(encoding="utf-8")
     assert f"> {lines[0]}" in text
     assert len((answered[2] / "index.html").read_bytes()) < 3_000_000
+
+
+def test_a_method_without_any_answer_is_an_empty_line(data: ReportData) -> None:
+    """Too few seeds for any tolerance, beside a method that needs none."""
+    needed = data.samples_needed
+    assert needed is not None
+    silent = needed.assign(
+        n_samples=needed["n_samples"].where(needed["method"] != "other"), status="more-seeds"
+    )
+    axis = figures_answer.samples_needed(data, silent).axes[0]
+    assert axis.lines
+    alone = silent.assign(n_samples=float("nan"))
+    assert figures_answer._stairs(axis, alone.iloc[:0], {}) is None
 
 
 def test_no_answer_no_section(data: ReportData) -> None:

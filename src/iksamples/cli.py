@@ -32,6 +32,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # which would take [mm] for markup
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
@@ -64,7 +65,7 @@ def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
     from iksamples.results import networks, sample_sets
     from iksamples.robot.workspace import reach
-    from iksamples.samples.record import record_samples, region_points
+    from iksamples.samples.record import N_CORNERS, record_samples, region_points
 
     study, chain = _open(study_file)
     _require_feasible(study, chain)
@@ -80,10 +81,16 @@ def check(study_file: StudyFile) -> None:
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
         typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
     points = region_points(study, chain, study.evaluation.cube_points)
-    typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()))
+    left_out = study.evaluation.cube_points + N_CORNERS - len(points)
+    masked = f"; {left_out} more left out" if left_out else ""
+    typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()) + masked)
+    typer.echo(
+        f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}"
+    )
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sets) * seeds
     typer.echo(f"  {trained} networks to train")
+    _advise(study)
 
 
 @app.command()
@@ -111,6 +118,7 @@ def plan(
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
     typer.echo(plan_text(study, plan_study(study, cached), cores))
+    _advise(study)
 
 
 @app.command()
@@ -266,6 +274,8 @@ def certify(
             f"({'checked' if checked else 'NOT CHECKED'}, {proof.boxes} boxes"
             f"{'' if proof.complete else ', search not finished'})"
         )
+    if offset_mm is None and scale_mm is None and weights.suffix != ".safetensors":
+        typer.echo("Positions go into the network as they are, in mm (no --offset-mm, --scale-mm).")
     typer.echo(
         "Proved for the stored weights read as exact real numbers, in real arithmetic, over the "
         f"closed box; evaluating a network in float32 adds at most {_up(float(slack_mm.max()))} mm."
@@ -344,7 +354,11 @@ def recommend(results: Results) -> None:
 def next_(
     study_file: StudyFile,
     samples_file: Annotated[
-        Path, typer.Option("--samples", help="Samples had so far (CSV or Parquet).")
+        Path,
+        typer.Option(
+            "--samples",
+            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad.",
+        ),
     ],
     output: Output,
     count: Annotated[int, typer.Option("--count", "-k", min=1, help="How many poses.")] = 10,
@@ -356,7 +370,11 @@ def next_(
         Path | None, typer.Option(help="Networks trained on these samples; by default, train now.")
     ] = None,
 ) -> None:
-    """Propose the next poses to record on the arm, inside its limits, as CSV."""
+    """Propose the next poses to record on the arm, inside its limits, as CSV.
+
+    Beside each pose: how far apart the trained seeds send the arm there, and the largest error of
+    a seed (disagreement_mm, error_mm), both by the arm's model.
+    """
     from iksamples.samples.measured import read_samples
     from iksamples.sizing.next_poses import next_poses
 
@@ -457,6 +475,13 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
 
     study = read_study(study_file)
     return study, study_chain(study)
+
+
+def _advise(study: "Study") -> None:
+    from iksamples.advice import advice
+
+    for line in advice(study):
+        typer.echo(f"Note: {line}", err=True)
 
 
 def _require_one_of(known: Iterable[str], name: str, what: str) -> None:

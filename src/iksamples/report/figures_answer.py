@@ -201,7 +201,9 @@ def _medians(axis: Axes, rows: pd.DataFrame, quantity: str, look: dict[str, Any]
 
 
 def _stairs(axis: Axes, rows: pd.DataFrame, look: dict[str, Any]) -> None:
-    """One method: solid where tried and certified, dashed where measured, dotted beyond."""
+    """One line: solid where tried and certified, dashed where measured, dotted beyond."""
+    if rows.empty:
+        return
     t, n = rows["tolerance_mm"].to_numpy(float), rows["n_samples"].to_numpy(float)
     kind = np.where(
         rows["status"] == "extrapolated", 2, np.where(rows["certified"].astype(bool), 0, 1)

@@ -130,6 +130,7 @@ def _doubts(study: Study, chain: SerialChain, positions: Floats, joints: Floats)
             f"{np.sum(missed > _MISSED_MM)} of {len(positions)} samples are more than "
             f"{_MISSED_MM:g} mm from where the model of the arm puts them "
             f"(sample {worst + 1}: {missed[worst]:.1f} mm); kept as they are."
+            + (" Are they in mm and rad?" if np.mean(missed > _MISSED_MM) > 0.5 else "")
         )
     if np.any(other):
         lines.append(

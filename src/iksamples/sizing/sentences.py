@@ -134,13 +134,14 @@ def _answered(study: Study, one: Finding) -> list[str]:
 def _not_answered(study: Study, one: Finding) -> list[str]:
     """A tolerance that the ladder does not meet."""
     rung, beyond, tolerance = one.shown, one.beyond, study.tolerance
-    lines = [f"The most samples tried fail: {_failing(study, rung)}."]
+    verdict = "cannot be confirmed" if one.status == "more-seeds" else "fail"
+    lines = [f"The most samples tried {verdict}: {_failing(study, rung)}."]
     if one.status == "more-seeds":
         lines.append(
             "The share that succeeded is larger than wished, but "
             f"{several(rung.n_seeds, 'training')} cannot make sure of it: if it stays as it is, "
-            f"{whole(one.seeds or 0)} would be enough "
-            "(training.seeds)."
+            f"{whole(one.seeds or 0)} would be enough (training.seeds); fresh seeds, and not "
+            "seeds added until it holds, keep the confidence what it says."
         )
     if beyond is None or one.status == "more-seeds":
         return lines
