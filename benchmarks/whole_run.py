@@ -29,10 +29,10 @@ ROOT = Path(__file__).parents[1]
 
 WHAT = {
     "samples": "recording the samples",
-    "train": "training 280 networks, and writing their histories",
+    "train": "training the networks, and writing their histories",
     "evaluate": "paths and workspace of every network",
     "bounds": "the paper's bounds",
-    "prove": "worst case and mean of 281 predictors, proved and checked",
+    "prove": "worst case and mean of every network, proved and checked",
     "map": "error map, and the worst case along the training",
     "table": "the table",
     "answer": "the answer",

@@ -3,28 +3,42 @@
 import pytest
 
 from iksamples.advice import advice
+from iksamples.results import sample_sets
+from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
 
 
-def notes(**settings):
-    return advice(parse_study({"name": "s", **settings}))
+def notes(chain, **settings):
+    study = parse_study({"name": "s", "samples": {"points_per_axis": [2]}, **settings})
+    sets = [record_samples(study, chain, *one) for one in sample_sets(study).values()]
+    return advice(study, sets)
 
 
 @pytest.mark.parametrize(("seeds", "enough"), [(13, False), (14, True)])
-def test_the_fewest_seeds_that_can_show_it(seeds, enough):
+def test_the_fewest_seeds_that_can_show_it(chain, seeds, enough):
     # 0.8^13 is more than 5 %, and 0.8^14 less.
     assert (0.8**seeds < 0.05) is enough
-    found = notes(training={"seeds": seeds})
+    found = notes(chain, training={"seeds": seeds})
     assert found == [] if enough else "14 can (training.seeds)" in found[0]
 
 
-def test_the_best_of_several_needs_fewer():
-    assert notes(training={"seeds": 13})
-    assert notes(training={"seeds": 13}, tolerance={"best_of": 3}) == []
+def test_the_best_of_several_needs_fewer(chain):
+    assert notes(chain, training={"seeds": 13})
+    assert notes(chain, training={"seeds": 13}, tolerance={"best_of": 3}) == []
 
 
-def test_a_method_without_a_grid_is_named():
+def test_a_method_without_a_grid_is_named(chain):
     methods = {"spline": {"kind": "cubic"}, "kernel": {"kind": "rbf"}}
-    [line] = notes(methods=methods, samples={"designs": ["chebyshev", "sobol"]})
-    assert line.startswith("spline has no results on sobol samples")
-    assert notes(methods=methods) == []
+    samples = {"designs": ["grid", "chebyshev", "sobol"], "points_per_axis": [2, 3]}
+    [line] = notes(chain, methods=methods, samples=samples)
+    assert line.startswith("spline has no results on sobol8, sobol27: tables")
+    assert notes(chain, methods=methods) == []
+
+
+def test_a_masked_grid_is_none(chain):
+    samples = {"points_per_axis": [3], "unreachable": "mask"}
+    workspace = {"lower_mm": [20, 20, 0], "upper_mm": [120, 120, 60]}
+    [line] = notes(
+        chain, methods={"spline": {"kind": "cubic"}}, samples=samples, workspace=workspace
+    )
+    assert line.startswith("spline has no results on grid3:")

@@ -1,17 +1,24 @@
 """What a valid study may still get wrong, said before any work is spent."""
 
+from collections.abc import Sequence
+
+from iksamples.methods.predictor import NotApplicableError
+from iksamples.methods.registry import ON_A_GRID
+from iksamples.methods.tensor import tensor_grid
+from iksamples.samples.dataset import SampleSet
 from iksamples.sizing.statistics import met_needed, seeds_needed, single_share
 from iksamples.sizing.words import percent, several, whole
 from iksamples.study import Study
 
 
-_NEED_A_GRID = ("multilinear", "cubic", "polynomial")
-_GRIDS = ("grid", "chebyshev")
+def advice(study: Study, sets: Sequence[SampleSet]) -> list[str]:
+    """One line for each thing that will not come out as its author may expect.
 
-
-def advice(study: Study) -> list[str]:
-    """One line for each thing that will not come out as its author may expect."""
-    return [*_too_few_seeds(study), *_methods_without_samples(study)]
+    Args:
+        study: The study.
+        sets: Its samples, but for those chosen in training.
+    """
+    return [*_too_few_seeds(study), *_methods_without_samples(study, sets)]
 
 
 def _too_few_seeds(study: Study) -> list[str]:
@@ -30,13 +37,21 @@ def _too_few_seeds(study: Study) -> list[str]:
     return lines
 
 
-def _methods_without_samples(study: Study) -> list[str]:
-    scattered = [design for design in study.samples.designs if design not in _GRIDS]
-    names = [name for name, method in study.methods.items() if method.kind in _NEED_A_GRID]
-    if not scattered or not names:
+def _methods_without_samples(study: Study, sets: Sequence[SampleSet]) -> list[str]:
+    names = [name for name, method in study.methods.items() if method.kind in ON_A_GRID]
+    labels = [samples.label for samples in sets if not _is_full_grid(samples)]
+    if not labels or not names:
         return []
     what = "has" if len(names) == 1 else "have"
     return [
-        f"{', '.join(names)} {what} no results on {', '.join(scattered)} samples: tables and "
-        "splines need a full grid."
+        f"{', '.join(names)} {what} no results on {', '.join(labels)}: tables and splines need a "
+        "full grid."
     ]
+
+
+def _is_full_grid(samples: SampleSet) -> bool:
+    try:
+        tensor_grid(samples, "")
+    except NotApplicableError:
+        return False
+    return True

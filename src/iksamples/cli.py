@@ -72,12 +72,13 @@ def check(study_file: StudyFile) -> None:
     typer.echo(
         f"{study.name}: valid; digest {study.digest()}, joints {', '.join(chain.joint_names)}"
     )
-    sets = sample_sets(study)
+    sets, all_recorded = sample_sets(study), []
     for label, (design, m) in sets.items():
         if design == "adaptive":
             typer.echo(f"  {label}: {m**3} samples, chosen in training")
             continue
         recorded = record_samples(study, chain, design, m)
+        all_recorded.append(recorded)
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
         typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
     points = region_points(study, chain, study.evaluation.cube_points)
@@ -90,7 +91,7 @@ def check(study_file: StudyFile) -> None:
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sets) * seeds
     typer.echo(f"  {trained} networks to train")
-    _advise(study)
+    _advise(study, all_recorded)
 
 
 @app.command()
@@ -118,7 +119,7 @@ def plan(
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
     typer.echo(plan_text(study, plan_study(study, cached), cores))
-    _advise(study)
+    _advise(study, sets)
 
 
 @app.command()
@@ -477,10 +478,10 @@ def _open(study_file: Path) -> "tuple[Study, SerialChain]":
     return study, study_chain(study)
 
 
-def _advise(study: "Study") -> None:
+def _advise(study: "Study", sets: "list[SampleSet]") -> None:
     from iksamples.advice import advice
 
-    for line in advice(study):
+    for line in advice(study, sets):
         typer.echo(f"Note: {line}", err=True)
 
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sizing.outcomes import is_certifiable
-from iksamples.study import Method, Study, Training
-from iksamples.training.run import LARGE_NETWORK
+from iksamples.study import Network, Study
+from iksamples.training.run import choose_engine
 
 
 @dataclass(frozen=True)
@@ -199,34 +199,28 @@ def _training(study: Study, name: str, sizes: list[int], cached: int) -> MethodP
     steps, seconds = 0, 0.0
     for n in sizes:
         n = method.training.n_trained(n)
-        epochs = study.for_method(name, n).training.epochs
-        per_epoch = _steps_per_epoch(method.training, n)
-        steps += seeds * epochs * per_epoch
-        seconds += _FIT + _fit_seconds(method, n, epochs, epochs * per_epoch)
+        own = study.for_method(name, n)
+        steps += seeds * own.training.epochs * own.training.steps_per_epoch(n)
+        seconds += _FIT + _fit_seconds(own, n)
     return MethodPlan(name, n_networks, n_networks - cached, round(steps * share), seconds * share)
 
 
-def _fit_seconds(method: Method, n: int, epochs: int, steps: int) -> float:
-    """Expected time of training all seeds of a method on n samples."""
-    training, weights = method.training, _weights(method)
-    if training.optimizer == "levenberg-marquardt":
+def _fit_seconds(study: Study, n: int) -> float:
+    """Expected time of training all seeds of the study's own network on n samples."""
+    training, weights, engine = study.training, _weights(study.network), choose_engine(study)
+    if engine == "levenberg-marquardt":
         products = 3 * n * weights**2 / _GRAM + weights**3 / _SOLVE
-        return training.seeds * epochs * (_ITERATION + products)
+        return training.seeds * training.epochs * (_ITERATION + products)
+    steps = training.epochs * training.steps_per_epoch(n)
     operations = 6.0 * min(training.batch_size, n) * weights * training.seeds * steps
-    if training.engine == "reference" or weights > LARGE_NETWORK:
+    if engine == "reference":
         return steps * _STACKED_STEP + operations / _STACKED_FLOPS
-    return epochs * _EPOCH + operations / _FLOPS[method.network.activation]
+    return training.epochs * _EPOCH + operations / _FLOPS[study.network.activation]
 
 
-def _steps_per_epoch(training: Training, n: int) -> int:
-    if training.optimizer == "levenberg-marquardt":
-        return 1
-    return -(-n // training.batch_size)
-
-
-def _weights(method: Method) -> int:
+def _weights(network: Network) -> int:
     """Weights and biases of a network from positions to three joints."""
-    widths = (3, *method.network.hidden, 3)
+    widths = (3, *network.hidden, 3)
     return sum((a + 1) * b for a, b in pairwise(widths))
 
 
@@ -245,7 +239,7 @@ def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
     proofs = []
     for name in certified(study):
         method = study.all_methods[name]
-        per_network = _PROOF[method.training.optimizer] * _weights(method) / 115
+        per_network = _PROOF[method.training.optimizer] * _weights(method.network) / 115
         proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
     work = {
         "samples": [
@@ -281,7 +275,7 @@ def _training_mb(study: Study) -> float:
     for name, method in study.all_methods.items():
         if method.kind != "network":
             continue
-        training, weights = method.training, _weights(method)
+        training, weights = method.training, _weights(method.network)
         n = max(study.samples.points_per_axis) ** 3
         epochs = study.for_method(name, n).training.epochs
         if training.steps:

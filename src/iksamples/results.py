@@ -56,6 +56,16 @@ class Cell:
 
         return pd.read_parquet(self.folder / f"{name}.parquet")
 
+    @cached_property
+    def sound_errors(self) -> "pd.DataFrame":
+        """The errors, without those of networks that diverged."""
+        errors = self.table("errors")
+        if not (self.folder / "members.parquet").exists():
+            return errors  # not trained
+        members = self.table("members")
+        diverged = members.loc[members["diverged"].astype(bool), "seed"]
+        return errors[~errors["seed"].isin(diverged)]
+
 
 def sample_sets(study: Study, design: Design | None = None) -> dict[str, tuple[Design, int]]:
     """Every set of samples of a study, smallest first: its name -> design and points per axis.

@@ -71,6 +71,8 @@ class Workspace(Section):
 
 
 Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive"]
+DRAWN: tuple[Design, ...] = ("sobol", "latin", "uniform", "joints")
+"""Designs whose points ``samples.seed`` draws."""
 
 
 class Samples(Section):
@@ -237,6 +239,12 @@ class Training(Section):
     accelerator: Literal["auto", "cpu", "gpu"] = Field(
         "cpu", description="Device of the reference engine."
     )
+
+    def steps_per_epoch(self, n_trained: int) -> int:
+        """Optimiser steps of an epoch; the last mini-batch may be smaller than the others."""
+        if self.optimizer == "levenberg-marquardt":
+            return 1  # all samples at once
+        return -(-n_trained // self.batch_size)
 
     def n_trained(self, n: int) -> int:
         """How many of n samples a seed learns from."""
@@ -483,10 +491,7 @@ class Study(Section):
         method = self.all_methods[name]
         training = method.training
         if training.steps:
-            per_epoch = -(-n_samples // training.batch_size)
-            if training.optimizer == "levenberg-marquardt":
-                per_epoch = 1  # all samples at once
-            epochs = -(-training.steps // per_epoch)
+            epochs = -(-training.steps // training.steps_per_epoch(n_samples))
             training = training.model_copy(update={"steps": None, "epochs": epochs})
         return self.model_copy(update={"network": method.network, "training": training})
 

@@ -18,6 +18,9 @@ FITS: dict[str, Fit] = {
 }
 """Kind of method (``study.MethodKind``) -> how it is fitted. Networks are trained instead."""
 
+ON_A_GRID = ("multilinear", "cubic", "polynomial")
+"""Kinds that need a sample at every crossing of a grid (``tensor.tensor_grid``)."""
+
 
 def fit(kind: str, study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     """Fits a method to samples.

@@ -313,7 +313,7 @@ def _number(record: Mapping[str, Any], key: str) -> float:
 
 def _errors_of(cell: Cell, samples: SampleSet, path: str) -> pd.DataFrame:
     """One method on one set of samples, a row per seed that did not diverge."""
-    errors = cell.table("errors").fillna({"seed": 0}).set_index("seed")
+    errors = cell.sound_errors.fillna({"seed": 0}).set_index("seed")
     cube = errors[errors["region"] == CUBE]
     on_path = errors.loc[errors["region"] == path, "error_mean_mm"]
     table = pd.DataFrame(
@@ -329,11 +329,7 @@ def _errors_of(cell: Cell, samples: SampleSet, path: str) -> pd.DataFrame:
             "worst_mm": cube["error_max_mm"].to_numpy(float),
         }
     )
-    table = table[np.isfinite(table["worst_mm"])]
-    if (cell.folder / "members.parquet").exists():
-        members = cell.table("members")
-        table = table[~table["seed"].isin(members.loc[members["diverged"].astype(bool), "seed"])]
-    return table
+    return table[np.isfinite(table["worst_mm"])]
 
 
 def _read_grid(cell: Cell) -> Grid:

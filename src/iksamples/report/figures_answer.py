@@ -87,10 +87,15 @@ class Lines:
         return table[(table[self.across] == panel) & (table[self.column] == name)]
 
 
+def learned(study: Study, table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a table that are not of the exact inverse."""
+    exact = [name for name, method in study.all_methods.items() if method.kind == "analytic"]
+    return table[~table["method"].isin(exact)]
+
+
 def lines_of(study: Study, table: pd.DataFrame) -> Lines:
-    """The lines for a table with the columns method and design; the exact inverse is left out."""
-    kinds = {name: method.kind for name, method in study.all_methods.items()}
-    methods = [name for name in kinds if kinds[name] != "analytic" and _in(table, "method", name)]
+    """The lines for a table with the columns method and design."""
+    methods = [name for name in study.all_methods if _in(table, "method", name)]
     designs = [str(name) for name in study.samples.designs if _in(table, "design", name)]
     names = [legend_name(study, name) for name in methods]
     if len(study.samples.designs) == 1:
@@ -101,8 +106,9 @@ def lines_of(study: Study, table: pd.DataFrame) -> Lines:
 @style.styled
 def samples_needed(data: ReportData, table: pd.DataFrame) -> Figure:
     """Samples needed against tolerance: a line per method, or per design in panels of methods."""
-    study, lines = data.study, lines_of(data.study, table)
-    table = table[table["method"].map(lambda name: study.all_methods[name].kind) != "analytic"]
+    study = data.study
+    table = learned(study, table)
+    lines = lines_of(study, table)
     figure, flat = _panels(lines.titles, len(lines.names))
     low, high = table["tolerance_mm"].min(), table["tolerance_mm"].max()
     wish = study.tolerance.error_mm
@@ -149,8 +155,8 @@ def errors_of_methods(data: ReportData, quantities: Sequence[str]) -> Figure:
         quantities: Columns of ``ReportData.every_error``, one panel each for every panel of
             ``Lines``.
     """
-    table, lines = data.every_error, lines_of(data.study, data.every_error)
-    table = table[table["method"].map(lambda name: data.study.all_methods[name].kind) != "analytic"]
+    table = learned(data.study, data.every_error)
+    lines = lines_of(data.study, table)
     many = len(quantities) > 1
     panels = [(q, panel) for panel in lines.panels for q in quantities]
     titles = [_quantity_name(q) for q in quantities] if many else lines.titles

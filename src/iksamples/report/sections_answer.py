@@ -60,9 +60,7 @@ def fresh_trainings(data: ReportData) -> Section | None:
     if not study.calibration.seeds:
         return None
     if not found:
-        nothing = (
-            "No network meets the tolerance with the samples tried, so there is no answer to check."
-        )
+        nothing = "No network has an answer among the samples tried, so there is none to check."
         return Section("fresh-trainings", "Does the answer keep its word?", [Text(nothing)])
     several = len(study.samples.designs) > 1
     columns = [

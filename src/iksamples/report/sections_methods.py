@@ -11,6 +11,7 @@ from iksamples.report.wording import count, joined, path_name, ratio_cells, thou
 from iksamples.sizing.finding import STREAM
 from iksamples.sizing.statistics import compare
 from iksamples.sizing.words import placed_as
+from iksamples.study import DRAWN
 
 
 def methods_and_designs(data: ReportData) -> Section | None:
@@ -90,7 +91,7 @@ def placing(data: ReportData) -> Section | None:
         f"Each row holds a way of placing the samples against samples {placed_as(designs[0])}: "
         "equally many, the same method, the same seeds. Below 100 % is better."
     )
-    drawn = [name for name in designs if name in ("sobol", "latin", "uniform", "joints")]
+    drawn = [name for name in designs if name in DRAWN]
     if drawn:
         text += (
             f" The points of {joined(drawn)} are drawn once for all seeds; another `samples.seed` "

@@ -27,6 +27,7 @@ from iksamples.report.blocks import Figure, Number, Section, Viewer
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
 from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, budget, count
+from iksamples.sizing.words import OPTIMIZERS
 from iksamples.study import Study, Training
 
 
@@ -123,9 +124,9 @@ def facts(data: ReportData) -> list[str]:
 
 def _training_facts(training: Training) -> str:
     if training.optimizer == "levenberg-marquardt":
-        return f"Levenberg-Marquardt, {budget(training)}"
+        return f"{OPTIMIZERS[training.optimizer]}, {budget(training)}"
     return (
-        f"{training.optimizer.capitalize()}, rate {training.learning_rate:g}, "
+        f"{OPTIMIZERS[training.optimizer]}, rate {training.learning_rate:g}, "
         f"batch {training.batch_size}, {budget(training)}"
     )
 

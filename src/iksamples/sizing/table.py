@@ -58,7 +58,7 @@ def study_table(
     for cell in cells:
         samples, members = cell.samples, cell.table("members")
         sound = members.loc[~members["diverged"], "seed"]
-        errors = cell.table("errors").query("seed in @sound.values").set_index("region")
+        errors = cell.sound_errors.set_index("region")
         bounds = cell.table("bounds").query("seed in @sound.values")
         name = study.bounds.average_weight
         spacing_mm = samples.spacing_mm

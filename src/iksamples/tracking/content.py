@@ -183,8 +183,7 @@ def _grid_run(study: Study, cell: Cell, row: "pd.Series", colour: str) -> RunCon
     metrics = [
         (str(name), float(value), n) for name, value in row.items() if name not in _AXES_OF_INTEREST
     ]
-    errors = cell.table("errors")
-    means = errors[errors["seed"].isin(sound)].groupby("region")[list(_STATISTICS)].mean()
+    means = cell.sound_errors.groupby("region")[list(_STATISTICS)].mean()
     for path in list(study.evaluation.paths)[1:]:
         metrics += [(f"{path}_{name}", float(means[name][path]), n) for name in _STATISTICS]
     history = cell.table("history")
@@ -291,10 +290,7 @@ def _method_metrics(
     study: Study, cell: Cell, proofs: "pd.DataFrame | None"
 ) -> Iterator[tuple[str, float, int]]:
     """A method's errors on one set of samples: mean over its sound seeds, and certified."""
-    errors = cell.table("errors")
-    if (cell.folder / "members.parquet").exists():
-        members = cell.table("members")
-        errors = errors[errors["seed"].isin(members.loc[~members["diverged"], "seed"])]
+    errors = cell.sound_errors
     n = cell.samples.n_samples
     for region, prefix in ((next(iter(study.evaluation.paths)), ""), (CUBE, "cube_")):
         own = errors[errors["region"] == region]

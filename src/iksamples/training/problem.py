@@ -61,10 +61,8 @@ class Problem:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Optimiser steps of an epoch; the last mini-batch may be smaller than the others."""
-        if self.training.optimizer == "levenberg-marquardt":
-            return 1
-        return -(-self.n_train // self.training.batch_size)
+        """Optimiser steps of an epoch."""
+        return self.training.steps_per_epoch(self.n_train)
 
 
 def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Problem:
