@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
-from iksamples.bounds.certificate.checker import verify
-from iksamples.bounds.certificate.search import certify_sup
-from iksamples.robot.chain import SerialChain, load_urdf
-from iksamples.training.network import StackedMLP
+from iksamples.arm.chain import SerialChain, load_urdf
+from iksamples.certify.checker import verify
+from iksamples.certify.search import certify_sup
+from iksamples.network import StackedMLP
 
 
 Z, Y = (0, 0, 1), (0, 1, 0)

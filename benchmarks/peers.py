@@ -371,7 +371,7 @@ def peak_flops() -> float:
 
 def errors_mm(problem: Problem, samples, chain, points, parameters: np.ndarray) -> np.ndarray:
     """Mean position error of each network over some points [mm]."""
-    from iksamples.training.network import StackedMLP
+    from iksamples.network import StackedMLP
 
     network = StackedMLP(
         *unstack(parameters, problem.sizes),

@@ -108,7 +108,7 @@ class Bench:
         import peers
         import torch
 
-        from iksamples.robot.workspace import study_chain
+        from iksamples.arm.workspace import study_chain
         from iksamples.samples.record import region_points
         from iksamples.study import parse_study
 

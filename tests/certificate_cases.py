@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from iksamples.robot.chain import SerialChain
-from iksamples.training.network import StackedMLP
+from iksamples.arm.chain import SerialChain
+from iksamples.network import StackedMLP
 
 
 def make_chain(kinds, axes, points, tip) -> SerialChain:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from iksamples.robot.chain import SerialChain
-from iksamples.robot.workspace import study_chain
+from iksamples.arm.chain import SerialChain
+from iksamples.arm.workspace import study_chain
 from iksamples.study import Study, parse_study
 
 

@@ -14,21 +14,21 @@ from certificate_cases import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.bounds.certificate.analytic import (
+from iksamples.certify.analytic import (
     interpolation_on_grid,
     triangle_on_grid,
     triangle_on_samples,
 )
-from iksamples.bounds.certificate.dispersion import cone_envelope, covering_radius
-from iksamples.bounds.certificate.lipschitz import (
+from iksamples.certify.dispersion import cone_envelope, covering_radius
+from iksamples.certify.lipschitz import (
     _largest_square,
     certify_lipschitz,
     certify_slope,
 )
-from iksamples.bounds.certificate.search import certify_sup
+from iksamples.certify.search import certify_sup
 from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
 from iksamples.samples.designs import full_grid
-from iksamples.training.network import StackedMLP
 
 
 GANTRY = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))

@@ -19,17 +19,17 @@ from certificate_cases import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.bounds.certificate.balls import Ball, norm_above, sum_above
-from iksamples.bounds.certificate.checker import verify
-from iksamples.bounds.certificate.checker_arm import Arm
-from iksamples.bounds.certificate.checker_network import Terms
-from iksamples.bounds.certificate.jets import Linkage
-from iksamples.bounds.certificate.residual import Comparison
-from iksamples.bounds.certificate.rounding import inference_slack_mm
-from iksamples.bounds.certificate.search import Leaves, certify_sup
-from iksamples.bounds.certificate.tiling import tiles_unit_box
+from iksamples.certify.balls import Ball, norm_above, sum_above
+from iksamples.certify.checker import verify
+from iksamples.certify.checker_arm import Arm
+from iksamples.certify.checker_network import Terms
+from iksamples.certify.jets import Linkage
+from iksamples.certify.residual import Comparison
+from iksamples.certify.rounding import inference_slack_mm
+from iksamples.certify.search import Leaves, certify_sup
+from iksamples.certify.tiling import tiles_unit_box
 from iksamples.errors import IksamplesError
-from iksamples.training.network import StackedMLP
+from iksamples.network import StackedMLP
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])

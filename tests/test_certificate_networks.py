@@ -11,12 +11,12 @@ from certificate_cases import (
     random_network,
 )
 
-from iksamples.bounds.certificate.dynamic import certify_training, read_snapshots
-from iksamples.bounds.certificate.external import _from_nodes, load_network
-from iksamples.bounds.certificate.residual import ErrorOverBoxes
-from iksamples.bounds.certificate.search import Leaves, _climb, certify_stack, certify_sup
+from iksamples.certify.dynamic import certify_training, read_snapshots
+from iksamples.certify.external import _from_nodes, load_network
+from iksamples.certify.residual import ErrorOverBoxes
+from iksamples.certify.search import Leaves, _climb, certify_stack, certify_sup
 from iksamples.errors import IksamplesError
-from iksamples.training.network import write_tensors
+from iksamples.network import write_tensors
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])

@@ -19,15 +19,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from iksamples.bounds.certificate.enclosure import pairs
-from iksamples.bounds.certificate.region import (
+from iksamples.certify.enclosure import pairs
+from iksamples.certify.region import (
     _mean_of_cells,
     _share_of_cells,
     _share_under_plane,
     certify_coverage,
     certify_mean,
 )
-from iksamples.bounds.certificate.residual import Residual
+from iksamples.certify.residual import Residual
 from iksamples.errors import IksamplesError
 
 

@@ -15,18 +15,18 @@ from certificate_cases import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.bounds.certificate import residual
-from iksamples.bounds.certificate.enclosure import (
+from iksamples.certify import residual
+from iksamples.certify.enclosure import (
     _tanh,
     corners,
     expand,
     pairs,
     third_derivative_bound,
 )
-from iksamples.bounds.certificate.jets import Linkage, bending_mm, cubic_remainder_mm
-from iksamples.bounds.certificate.layers import Layers
-from iksamples.bounds.certificate.residual import Comparison, ErrorOverBoxes
-from iksamples.training.network import StackedMLP
+from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
+from iksamples.certify.layers import Layers
+from iksamples.certify.residual import Comparison, ErrorOverBoxes
+from iksamples.network import StackedMLP
 
 
 KINDS = st.text("RRRP", min_size=1, max_size=7)

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.bounds.certificate import residual
-from iksamples.bounds.certificate.checker import verify
-from iksamples.bounds.certificate.jets import cubic_remainder_mm
-from iksamples.bounds.certificate.region import certify_coverage, certify_mean
-from iksamples.bounds.certificate.search import certify_stack, certify_sup
-from iksamples.bounds.certificate.tiling import tiles_unit_box
+from iksamples.arm.chain import SerialChain, load_urdf
+from iksamples.certify import residual
+from iksamples.certify.checker import verify
+from iksamples.certify.jets import cubic_remainder_mm
+from iksamples.certify.region import certify_coverage, certify_mean
+from iksamples.certify.search import certify_stack, certify_sup
+from iksamples.certify.tiling import tiles_unit_box
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import SerialChain, load_urdf
-from iksamples.training.network import StackedMLP
+from iksamples.network import StackedMLP
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])

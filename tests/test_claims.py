@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from iksamples.bounds import claims, paper
-from iksamples.bounds.evidence import Ends, Evidence, GridEvidence
-from iksamples.robot.chain import load_urdf
+from iksamples.arm.chain import load_urdf
+from iksamples.paper import claims
+from iksamples.paper import equations as paper
+from iksamples.paper.evidence import Ends, Evidence, GridEvidence
 
 
 NAMES = {"mean": "mean of w", "max_abs": "largest |w|"}

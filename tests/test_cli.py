@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 import torch
 
+from iksamples.network import StackedMLP
 from iksamples.results import cells
 from iksamples.samples.record import grid_samples
-from iksamples.training.network import StackedMLP
 
 
 BOX = ("--box", "20", "20", "0", "80", "80", "60")

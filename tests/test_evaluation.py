@@ -6,9 +6,9 @@ import pytest
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.evaluation.paths import require_reachable, waypoints_mm
+from iksamples.network import StackedMLP
 from iksamples.samples.record import region_points
 from iksamples.study import DoubleRectangle, Heart, parse_study
-from iksamples.training.network import StackedMLP
 
 
 def constant_network(joints, seeds=(0,)):

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.bounds.map_step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
+from iksamples.arm.chain import SerialChain
+from iksamples.certify.map_step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
+from iksamples.network import StackedMLP, write_tensors
 from iksamples.report import sections_map
 from iksamples.report.blocks import Figure, Text
 from iksamples.report.data import Grid, ReportData
 from iksamples.results import Cell, cells
-from iksamples.robot.chain import SerialChain
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
-from iksamples.training.network import StackedMLP, write_tensors
 
 
 EPOCHS = np.array([0, 1, 4, 20])

@@ -8,7 +8,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.optimize import differential_evolution
 
-from iksamples.bounds.table import TableCells, certify_table
+from iksamples.arm.chain import SerialChain
+from iksamples.arm.closed_form import inverse
+from iksamples.certify.lookup import TableCells, certify_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.methods import gaussian_process, rbf
@@ -16,8 +18,6 @@ from iksamples.methods import predictor as predictor_module
 from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.methods.registry import FITS, fit
 from iksamples.methods.tensor import tensor_grid
-from iksamples.robot.chain import SerialChain
-from iksamples.robot.closed_form import inverse
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import MethodKind, parse_study
 

@@ -7,16 +7,16 @@ import pandas as pd
 import pytest
 from scipy.spatial.distance import pdist
 
+from iksamples.answer.adaptive import adaptive_sets, train_seeds
+from iksamples.answer.next_poses import next_poses
+from iksamples.answer.proposal import disagreement_mm, propose, spread
+from iksamples.arm.workspace import reach, study_chain
 from iksamples.errors import IksamplesError
-from iksamples.robot.workspace import reach, study_chain
+from iksamples.network import StackedMLP
 from iksamples.samples.designs import fill_distance_mm
 from iksamples.samples.measured import read_samples, read_samples_csv
 from iksamples.samples.record import grid_samples, record_samples, region_points
-from iksamples.sizing.adaptive import adaptive_sets, train_seeds
-from iksamples.sizing.next_poses import next_poses
-from iksamples.sizing.proposal import disagreement_mm, propose, spread
 from iksamples.study import parse_study
-from iksamples.training.network import StackedMLP
 
 
 BOX = (20, 20, 0), (80, 80, 60)

@@ -14,19 +14,19 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
-from iksamples.bounds.certify_step import certify
-from iksamples.bounds.map_step import MAX_BOXES, map_cell
+from iksamples.arm.chain import SerialChain
+from iksamples.certify.map_step import MAX_BOXES, map_cell
+from iksamples.certify.step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import track_paths
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
+from iksamples.network import StackedMLP, write_tensors
 from iksamples.recording.colours import blues
 from iksamples.recording.record import path_breaks, record_path
 from iksamples.results import Cell, cells
-from iksamples.robot.chain import SerialChain
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
-from iksamples.training.network import StackedMLP, write_tensors
 
 
 pytestmark = pytest.mark.slow

@@ -16,10 +16,13 @@ from hypothesis import strategies as st
 from lxml import html
 from scipy import stats
 
-from iksamples.bounds.audit import audit
-from iksamples.bounds.certify_step import certify
+from iksamples.arm.workspace import study_chain
+from iksamples.certify.step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
+from iksamples.network import StackedMLP
+from iksamples.paper.audit import audit
+from iksamples.paper.table import study_table
 from iksamples.report import provenance
 from iksamples.report.blocks import Number
 from iksamples.report.data import Grid, ReportData, read_benchmarks, read_report_data
@@ -29,12 +32,9 @@ from iksamples.report.statistics import fall_interval, median_interval, slope_in
 from iksamples.report.verdict import verdict
 from iksamples.report.write import write_report
 from iksamples.results import cells
-from iksamples.robot.workspace import study_chain
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import grid_samples
-from iksamples.sizing.table import study_table
 from iksamples.study import Study, parse_study
-from iksamples.training.network import StackedMLP
 
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,13 @@ import pytest
 from lxml import html
 from test_report import ROOT, SMALL, cells_of, finished, random_features
 
-from iksamples.bounds.certify_step import certify
+from iksamples.answer.answer import Answer, read_answer
+from iksamples.answer.calibration import calibrate, to_json
+from iksamples.answer.finding import samples_needed
+from iksamples.answer.outcomes import Line, all_cells, certificates, outcomes
+from iksamples.answer.size import answer_study
+from iksamples.arm.workspace import study_chain
+from iksamples.certify.step import certify
 from iksamples.evaluation.step import evaluate
 from iksamples.report import (
     figures_answer,
@@ -27,12 +33,6 @@ from iksamples.report.verdict import verdict
 from iksamples.report.wording import typeset
 from iksamples.report.write import write_report
 from iksamples.results import cells
-from iksamples.robot.workspace import study_chain
-from iksamples.sizing.answer import Answer, read_answer
-from iksamples.sizing.calibration import calibrate, to_json
-from iksamples.sizing.finding import samples_needed
-from iksamples.sizing.outcomes import Line, all_cells, certificates, outcomes
-from iksamples.sizing.size import answer_study
 from iksamples.study import Calibration, Method, Study, parse_study
 
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from iksamples.arm.chain import load_urdf
+from iksamples.arm.closed_form import yaw_pitch_pitch
+from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import load_urdf
-from iksamples.robot.closed_form import yaw_pitch_pitch
-from iksamples.robot.workspace import reach
 from iksamples.samples.designs import full_grid
 from iksamples.study import parse_study
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import validate
 
+from iksamples.answer.answer import answer_schema, read_answer, recommend
+from iksamples.answer.finding import samples_needed
+from iksamples.answer.ladder import judge, needed_on_ladder, standing
+from iksamples.answer.size import answer
 from iksamples.errors import IksamplesError
-from iksamples.sizing.answer import answer_schema, read_answer, recommend
-from iksamples.sizing.finding import samples_needed
-from iksamples.sizing.ladder import judge, needed_on_ladder, standing
-from iksamples.sizing.size import answer
 from iksamples.study import parse_study
 
 

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from iksamples.bounds.certify_step import certify
+from iksamples.answer.calibration import calibrate, read_calibrations
+from iksamples.answer.ladder import judge, standing
+from iksamples.answer.outcomes import Line, all_cells
+from iksamples.answer.size import answer_study
+from iksamples.certify.step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.step import evaluate
-from iksamples.sizing.calibration import calibrate, read_calibrations
-from iksamples.sizing.ladder import judge, standing
-from iksamples.sizing.outcomes import Line, all_cells
-from iksamples.sizing.size import answer_study
 from iksamples.study import parse_study
 
 

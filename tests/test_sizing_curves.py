@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 
-from iksamples.sizing.curves import NEVER, Needed, fit_published, fit_seeds
-from iksamples.sizing.statistics import draws, interquartile_mean, share_quantile
-from iksamples.sizing.table import paper_table
+from iksamples.answer.curves import NEVER, Needed, fit_published, fit_seeds
+from iksamples.answer.statistics import draws, interquartile_mean, share_quantile
+from iksamples.paper.table import paper_table
 
 
 M = np.arange(2, 9)

@@ -4,12 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from iksamples.errors import IksamplesError
-from iksamples.results import Cell
-from iksamples.samples.record import record_samples
-from iksamples.sizing.calibration import calibrate_study
-from iksamples.sizing.causes import causes, loss_fall
-from iksamples.sizing.outcomes import (
+from iksamples.answer.calibration import calibrate_study
+from iksamples.answer.causes import causes, loss_fall
+from iksamples.answer.outcomes import (
     COLUMNS,
     Line,
     all_cells,
@@ -18,9 +15,12 @@ from iksamples.sizing.outcomes import (
     errors_matrix,
     outcomes,
 )
-from iksamples.sizing.size import answer_study
+from iksamples.answer.size import answer_study
+from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
+from iksamples.results import Cell
+from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
-from iksamples.training.network import StackedMLP
 
 
 SEEDS = 6

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, binomtest
 
-from iksamples.errors import IksamplesError
-from iksamples.sizing.statistics import (
+from iksamples.answer.statistics import (
     best_of_share,
     compare,
     draws,
@@ -21,6 +20,7 @@ from iksamples.sizing.statistics import (
     share_quantile,
     single_share,
 )
+from iksamples.errors import IksamplesError
 
 
 @settings(max_examples=50, deadline=None)

@@ -52,5 +52,5 @@ def test_evaluation_does_not_depend_on_the_report():
     found = set()
     sources._collect_with_parents("iksamples.evaluation.step", found)
     names = {path.parent.name for path in found}
-    assert {"robot", "samples", "methods", "evaluation", "training"} <= names
-    assert not names & {"report", "tracking", "recording", "bounds", "sizing"}
+    assert {"arm", "samples", "methods", "evaluation"} <= names
+    assert not names & {"report", "tracking", "recording", "certify", "answer"}

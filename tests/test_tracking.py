@@ -16,19 +16,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from iksamples.bounds.audit import audit
+from iksamples.arm.workspace import study_chain
 from iksamples.columns import CERTIFICATES
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
+from iksamples.network import StackedMLP
+from iksamples.paper.audit import audit
+from iksamples.paper.table import study_table
 from iksamples.results import Cell, cells
-from iksamples.robot.workspace import study_chain
 from iksamples.samples.record import grid_samples
-from iksamples.sizing.table import study_table
 from iksamples.study import Study, Tracking, parse_study
 from iksamples.tracking.content import STUDY_KEY, study_runs
 from iksamples.tracking.store import Outcome, connect, without_password
 from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_uri
-from iksamples.training.network import StackedMLP
 
 
 pytestmark = pytest.mark.slow

@@ -15,12 +15,12 @@ from scipy import stats
 from torch import nn
 from training_problems import make_problem, same
 
+from iksamples.network import ACTIVATIONS, StackedMLP
 from iksamples.training import fused, kernel, reference
 from iksamples.training.initial import initial_weights
 from iksamples.training.lanes import load, store, tanh
 from iksamples.training.module import fit as fit_with
 from iksamples.training.module import make_engine
-from iksamples.training.network import ACTIVATIONS, StackedMLP
 from iksamples.training.problem import Problem
 from iksamples.training.record import Record, stack, unstack
 from iksamples.training.shuffle import permutations

@@ -5,14 +5,14 @@ import pytest
 import torch
 from training_problems import make_problem, same
 
-from iksamples.robot.chain import SerialChain
+from iksamples.arm.chain import SerialChain
+from iksamples.network import ACTIVATIONS
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import parse_study
 from iksamples.training import levenberg, reference
 from iksamples.training.files import final_network
 from iksamples.training.module import fit as fit_with
 from iksamples.training.module import make_engine
-from iksamples.training.network import ACTIVATIONS
 from iksamples.training.problem import pose_problem
 
 

@@ -17,7 +17,7 @@ from iksamples.training.shuffle import GOLDEN, mix, permutations
 
 def test_light_modules_stay_light():
     code = (
-        "import sys; import iksamples.training.network, iksamples.training.initial,"
+        "import sys; import iksamples.network, iksamples.training.initial,"
         " iksamples.training.shuffle, iksamples.training.run;"
         "print([m for m in ('torch', 'pytorch_lightning', 'numba', 'pandas') if m in sys.modules])"
     )

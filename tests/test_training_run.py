@@ -9,10 +9,10 @@ from safetensors import safe_open
 from safetensors.numpy import load_file
 
 from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
 from iksamples.samples.record import grid_samples
 from iksamples.study import parse_study
 from iksamples.training import run
-from iksamples.training.network import StackedMLP
 from iksamples.training.problem import pose_problem
 
 

@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from iksamples.answer.calibration import read_calibrations
+from iksamples.arm.workspace import study_chain
 from iksamples.columns import CERTIFICATES, TABLE
 from iksamples.evaluation.errors import send
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.results import cells
-from iksamples.robot.workspace import study_chain
-from iksamples.sizing.calibration import read_calibrations
 from iksamples.study import read_study
 
 

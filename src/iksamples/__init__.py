@@ -1,8 +1,9 @@
 """How many samples does a learned inverse kinematics need?
 
 The packages follow the way of the data, and each imports only what lies before it:
-``robot`` -> ``samples`` -> ``training`` -> ``evaluation`` -> ``bounds`` -> ``sizing`` ->
-``report``, with ``tracking`` (MLflow) and ``recording`` (Rerun) as two side windows.
+``arm`` -> ``samples`` -> ``training`` -> ``evaluation`` -> ``certify`` -> ``answer`` ->
+``report``, with ``tracking`` (MLflow) and ``recording`` (Rerun) as two side windows; ``paper`` is
+what only the paper's own study needs.
 """
 
 from importlib.metadata import version

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
+from iksamples.answer.statistics import met_needed, seeds_needed, single_share
+from iksamples.answer.words import percent, several, whole
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import ON_A_GRID
 from iksamples.methods.tensor import tensor_grid
 from iksamples.samples.dataset import SampleSet
-from iksamples.sizing.statistics import met_needed, seeds_needed, single_share
-from iksamples.sizing.words import percent, several, whole
 from iksamples.study import Study
 
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
+from iksamples.answer.outcomes import is_certifiable
 from iksamples.results import certified, networks, sample_sets
-from iksamples.sizing.outcomes import is_certifiable
 from iksamples.study import Network, Study
 from iksamples.training.run import choose_engine
 

@@ -6,10 +6,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_label
 from iksamples.study import NETWORK, Design, Study
-from iksamples.training.network import StackedMLP
 
 
 if TYPE_CHECKING:

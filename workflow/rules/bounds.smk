@@ -28,7 +28,7 @@ rule bounds:
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation", "bounds"),
-        code=source_digest("iksamples.bounds.audit"),
+        code=source_digest("iksamples.paper.audit"),
         folder="results/{study}/network",
     shell:
         "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> >(tee {log:q} >&2)"
@@ -53,7 +53,7 @@ rule prove:
             include={"sup_rtol", "mean_rtol", "mean_atol_mm"}
         ),
         kind=lookup("{method}", within=KINDS),
-        code=source_digest("iksamples.bounds.certify_step"),
+        code=source_digest("iksamples.certify.step"),
         folder="results/{study}/{method}",
     shell:
         "iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}"
@@ -85,7 +85,7 @@ rule map:
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation", "tolerance"),
-        code=source_digest("iksamples.bounds.map_step"),
+        code=source_digest("iksamples.certify.map_step"),
         results="results/{study}",
     shell:
         "iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"

@@ -12,7 +12,7 @@ def adaptive_settings(wildcards):
     """What an adaptive set depends on besides: the networks that choose its points."""
     if not wildcards.samples.startswith("adaptive"):
         return None
-    return settings("network", "training") + source_digest("iksamples.sizing.adaptive")
+    return settings("network", "training") + source_digest("iksamples.answer.adaptive")
 
 
 rule samples:

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from iksamples.arm.chain import Floats, SerialChain
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.methods.predictor import Predictor
-from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import AXES
 from iksamples.samples.record import region_points
 from iksamples.study import Study

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from iksamples.robot.chain import Floats, SerialChain
-from iksamples.robot.workspace import reach
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.workspace import reach
 from iksamples.study import DoubleRectangle, Heart, Study
 
 

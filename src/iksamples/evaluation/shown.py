@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from iksamples.training.network import StackedMLP, read_tensors
+from iksamples.network import StackedMLP, read_tensors
 
 
 if TYPE_CHECKING:

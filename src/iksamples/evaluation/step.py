@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from iksamples.arm.chain import SerialChain
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.methods.predictor import NotApplicableError, Predictor
 from iksamples.methods.registry import fit
-from iksamples.robot.chain import SerialChain
+from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
-from iksamples.training.network import StackedMLP
 
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """The exact inverse kinematics: the reference that no method can beat."""
 
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.closed_form import inverse
 from iksamples.methods.predictor import Predictor, Single
-from iksamples.robot.chain import Floats, SerialChain
-from iksamples.robot.closed_form import inverse
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

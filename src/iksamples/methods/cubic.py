@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from iksamples.arm.chain import SerialChain
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.tensor import tensor_grid
-from iksamples.robot.chain import SerialChain
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from iksamples.arm.chain import Floats, SerialChain
 from iksamples.methods.predictor import Predictor, Single, require_at_most
-from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

@@ -1,8 +1,8 @@
 """A look-up table: multilinear interpolation between the samples of a grid."""
 
+from iksamples.arm.chain import SerialChain
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.tensor import tensor_grid
-from iksamples.robot.chain import SerialChain
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

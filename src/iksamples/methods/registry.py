@@ -1,9 +1,9 @@
 """The methods by the name that the study file gives them."""
 
+from iksamples.arm.chain import SerialChain
 from iksamples.errors import IksamplesError
 from iksamples.methods import analytic, cubic, gaussian_process, multilinear, polynomial, rbf
 from iksamples.methods.predictor import Fit, Predictor
-from iksamples.robot.chain import SerialChain
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 

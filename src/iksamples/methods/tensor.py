@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from iksamples.arm.chain import Floats
 from iksamples.methods.predictor import NotApplicableError
-from iksamples.robot.chain import Floats
 from iksamples.samples.dataset import SampleSet
 
 

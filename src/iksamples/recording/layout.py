@@ -7,9 +7,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from iksamples import __version__
+from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
 from iksamples.recording.proofs import ENTITY, Proof, proof_text, proof_view
 from iksamples.recording.shown import ShownGrid
-from iksamples.robot.chain import MM_PER_M, Floats, SerialChain
 from iksamples.study import Study
 
 

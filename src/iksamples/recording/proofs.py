@@ -9,9 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.recording.colours import ORANGE, RED
 from iksamples.results import Cell
-from iksamples.robot.chain import MM_PER_M, Floats
 from iksamples.samples.dataset import AXES
 
 

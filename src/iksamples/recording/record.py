@@ -13,14 +13,14 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
+from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
+from iksamples.arm.workspace import study_chain
 from iksamples.errors import IksamplesError
 from iksamples.recording.colours import BLACK, GREY, RED, Colour, blues
 from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
 from iksamples.recording.proofs import Proof, log_proof, read_proof
 from iksamples.recording.shown import ShownGrid, read_grid
 from iksamples.results import Cell
-from iksamples.robot.chain import MM_PER_M, Floats, SerialChain
-from iksamples.robot.workspace import study_chain
 from iksamples.study import Study
 
 

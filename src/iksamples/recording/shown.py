@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Tracking, send
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
 from iksamples.results import Cell
-from iksamples.robot.chain import Floats, SerialChain
 from iksamples.samples.dataset import AXES
 
 

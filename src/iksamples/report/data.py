@@ -11,15 +11,15 @@ import numpy as np
 import pandas as pd
 from pyarrow import parquet
 
+from iksamples.answer import answer as answers
+from iksamples.answer.calibration import Calibration, read_calibrations
+from iksamples.answer.outcomes import all_cells, certificates
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.workspace import study_chain
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
 from iksamples.results import Cell, cells, sample_sets
-from iksamples.robot.chain import Floats, SerialChain
-from iksamples.robot.workspace import study_chain
 from iksamples.samples.dataset import AXES, SampleSet
-from iksamples.sizing import answer as answers
-from iksamples.sizing.calibration import Calibration, read_calibrations
-from iksamples.sizing.outcomes import all_cells, certificates
 from iksamples.study import NETWORK, Study
 
 

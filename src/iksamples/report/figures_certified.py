@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from iksamples.arm.chain import Floats
 from iksamples.evaluation.errors import CUBE
 from iksamples.report import style
 from iksamples.report.data import ReportData
-from iksamples.robot.chain import Floats
 
 
 @style.styled

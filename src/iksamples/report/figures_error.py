@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from iksamples.arm.chain import Floats
 from iksamples.evaluation.errors import CUBE
 from iksamples.report import style
 from iksamples.report.data import Grid, ReportData
 from iksamples.report.statistics import median_interval
 from iksamples.report.wording import path_name
-from iksamples.robot.chain import Floats
 
 
 AVERAGE_NAMES = {

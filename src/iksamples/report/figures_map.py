@@ -8,10 +8,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from iksamples.arm.chain import Floats
+from iksamples.network import StackedMLP
 from iksamples.report import style
 from iksamples.report.data import Grid, ReportData
-from iksamples.robot.chain import Floats
-from iksamples.training.network import StackedMLP
 
 
 _POINTS = 49  # along each side of a slice

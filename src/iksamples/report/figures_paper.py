@@ -8,9 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from iksamples.arm.chain import Floats
 from iksamples.report import style
 from iksamples.report.data import Grid, ReportData, Track
-from iksamples.robot.chain import Floats
 from iksamples.study import DoubleRectangle, Heart
 
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from iksamples.answer.answer import read_answer
 from iksamples.errors import IksamplesError
-from iksamples.sizing.answer import read_answer
 from iksamples.study import read_study
 
 

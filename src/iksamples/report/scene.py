@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from iksamples.arm.chain import Floats
 from iksamples.report.data import Grid, ReportData, Track
 from iksamples.report.wording import path_name
-from iksamples.robot.chain import Floats
 
 
 _MOST_POINTS = 1000

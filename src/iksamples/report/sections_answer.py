@@ -1,11 +1,11 @@
 """The section that answers the study's question: how many samples, by which method, how sure."""
 
+from iksamples.answer.answer import MethodAnswer
+from iksamples.answer.words import described
 from iksamples.report import figures_answer
 from iksamples.report.blocks import Block, Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.wording import percent, thousands, typeset
-from iksamples.sizing.answer import MethodAnswer
-from iksamples.sizing.words import described
 from iksamples.study import Tolerance
 
 

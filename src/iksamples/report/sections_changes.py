@@ -5,6 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from iksamples.answer.finding import STREAM
+from iksamples.answer.statistics import compare
+from iksamples.answer.words import OPTIMIZERS
 from iksamples.report.blocks import Block, Column, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.statistics import fall_interval
@@ -19,9 +22,6 @@ from iksamples.report.wording import (
     thousands,
 )
 from iksamples.results import Cell
-from iksamples.sizing.finding import STREAM
-from iksamples.sizing.statistics import compare
-from iksamples.sizing.words import OPTIMIZERS
 from iksamples.study import NETWORK, Method, Training
 
 

@@ -5,10 +5,14 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from iksamples.bounds.audit import input_jacobian, scale_mm
-from iksamples.bounds.claims import judge_claims
-from iksamples.bounds.evidence import Ends, Evidence, GridEvidence
+from iksamples.answer.curves import Curve, fit_published, fit_seeds
+from iksamples.answer.statistics import draws
+from iksamples.arm.closed_form import inverse
 from iksamples.evaluation.errors import send
+from iksamples.paper.audit import input_jacobian, scale_mm
+from iksamples.paper.claims import judge_claims
+from iksamples.paper.evidence import Ends, Evidence, GridEvidence
+from iksamples.paper.table import paper_table
 from iksamples.report.blocks import Block, Column, Section, Table, Text
 from iksamples.report.data import Grid, ReportData
 from iksamples.report.figures_error import AVERAGE_NAMES
@@ -16,11 +20,7 @@ from iksamples.report.statistics import fall_interval
 from iksamples.report.verdict import levelling_pair, paper_recipe, paper_task
 from iksamples.report.wording import joined
 from iksamples.results import Cell, cells
-from iksamples.robot.closed_form import inverse
 from iksamples.samples.record import region_points
-from iksamples.sizing.curves import Curve, fit_published, fit_seeds
-from iksamples.sizing.statistics import draws
-from iksamples.sizing.table import paper_table
 
 
 _POINTS = 512

@@ -3,14 +3,14 @@
 import numpy as np
 import pandas as pd
 
+from iksamples.answer.finding import STREAM
+from iksamples.answer.statistics import compare
+from iksamples.answer.words import placed_as
 from iksamples.report import figures_answer
 from iksamples.report.blocks import Block, Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData
 from iksamples.report.figures_answer import QUANTITIES, legend_name
 from iksamples.report.wording import count, joined, path_name, ratio_cells, thousands
-from iksamples.sizing.finding import STREAM
-from iksamples.sizing.statistics import compare
-from iksamples.sizing.words import placed_as
 from iksamples.study import DRAWN
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from iksamples.bounds.audit import scale_mm
+from iksamples.paper.audit import scale_mm
 from iksamples.report import figures_error
 from iksamples.report.blocks import Column, Figure, Number, Section, Table, Text
 from iksamples.report.data import ReportData

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.robot.chain import Floats
+from iksamples.arm.chain import Floats
 
 
 _RESAMPLES = 4000

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from iksamples.answer.words import is_paper_recipe
 from iksamples.report.data import Grid, ReportData
 from iksamples.report.statistics import fall_interval
 from iksamples.report.wording import count, mm, path_name, percent, seeds_mean, span, typeset
-from iksamples.sizing.words import is_paper_recipe
 from iksamples.study import NETWORK, DoubleRectangle, Robot, Workspace
 
 

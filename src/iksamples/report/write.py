@@ -11,6 +11,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from iksamples.answer.words import OPTIMIZERS
 from iksamples.report import (
     sections_answer,
     sections_certified,
@@ -27,7 +28,6 @@ from iksamples.report.blocks import Figure, Number, Section, Viewer
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.verdict import verdict
 from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, budget, count
-from iksamples.sizing.words import OPTIMIZERS
 from iksamples.study import Study, Training
 
 

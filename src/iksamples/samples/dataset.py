@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from iksamples import __version__
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import Floats
 
 
 AXES = ("x", "y", "z")

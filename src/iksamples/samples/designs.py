@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.robot.chain import Floats
+from iksamples.arm.chain import Floats
 
 
 def full_grid(lower_mm: ArrayLike, upper_mm: ArrayLike, points_per_axis: int) -> Floats:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import Floats, SerialChain
-from iksamples.robot.workspace import reach
 from iksamples.samples.dataset import AXES, SampleSet
 from iksamples.samples.record import sample_set
 from iksamples.study import Study

@@ -5,16 +5,16 @@ from typing import get_args
 
 import numpy as np
 
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
-from iksamples.robot.chain import Floats, SerialChain
-from iksamples.robot.workspace import reach
 from iksamples.samples import designs
 from iksamples.samples.dataset import AXES, SampleSet
 from iksamples.study import Design, Study
 
 
 ADAPTIVE: Design = "adaptive"
-"""The design that only training can place (``sizing.adaptive``)."""
+"""The design that only training can place (``answer.adaptive``)."""
 
 # Streams of the study's generator: fresh points of different use are independent of each other.
 _FRESH_STREAM = {"validation": 1, "test": 2}
@@ -158,7 +158,7 @@ def _place(study: Study, chain: SerialChain, design: Design, points_per_axis: in
         raise IksamplesError(
             f"{sample_label(design, points_per_axis)}: adaptive samples follow from networks that "
             "are trained on the way, so they cannot be placed in one step. Make them with "
-            "iksamples.sizing.adaptive."
+            "iksamples.answer.adaptive."
         )
     box = study.workspace.lower_mm, study.workspace.upper_mm
     n = points_per_axis ** len(AXES)

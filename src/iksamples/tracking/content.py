@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from iksamples.answer.outcomes import certificates
 from iksamples.evaluation.errors import CUBE
+from iksamples.paper.table import over_seeds
 from iksamples.recording.colours import RED, Colour, blues
 from iksamples.results import Cell, cells
 from iksamples.samples.dataset import AXES
-from iksamples.sizing.outcomes import certificates
-from iksamples.sizing.table import over_seeds
 from iksamples.study import NETWORK, Study
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from iksamples.network import StackedMLP, write_tensors
 from iksamples.samples.dataset import SampleSet
 from iksamples.training.cache import write_whole
-from iksamples.training.network import StackedMLP, write_tensors
 from iksamples.training.problem import Problem
 from iksamples.training.record import METRICS, Record, unstack
 

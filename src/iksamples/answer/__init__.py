@@ -1,0 +1,1 @@
+"""The answer: what the errors and bounds say about how many samples are needed."""

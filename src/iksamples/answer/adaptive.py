@@ -1,0 +1,125 @@
+"""The adaptive design: samples placed step by step, where networks trained so far disagree."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from iksamples.answer.proposal import propose, spread
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.workspace import reach
+from iksamples.network import StackedMLP
+from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.designs import full_grid
+from iksamples.samples.record import ADAPTIVE, region_points, sample_set, samples_at
+from iksamples.study import NETWORK, HeldOut, Study
+from iksamples.training.run import train
+
+
+GUIDES = 16
+"""Seeds that are asked where they disagree: as many as the compiled loop trains at once."""
+
+_FIRST = 8
+_GROWTH = 2**0.5
+_STEPS = 4000
+_REGION_POINTS = 4096
+# Guides are other seeds than those whose errors a study reports, or the points would be chosen
+# for the very networks that are judged on them.
+_FIRST_GUIDE = 2**30
+
+
+def adaptive_sets(
+    study: Study, chain: SerialChain, points_per_axis: Iterable[int]
+) -> dict[int, SampleSet]:
+    """Nested sets of samples of the adaptive design, one per size.
+
+    It starts from the workspace's corners. Then 16 networks of the study's shape are trained on the
+    samples so far (Adam, 4000 steps, seeds of their own), and the points where they disagree most
+    are added (``propose``), until there are about 1.4 times as many; and so on. From 8 to 512
+    samples these are 12 rounds. Sets of different sizes are beginnings of the same sequence of
+    points, which depends on no other size.
+
+    Of the study it depends on the arm, the workspace, ``samples`` (but for designs and sizes),
+    ``network``, and ``training``'s learning rate, schedule and batch size.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        points_per_axis: Sizes m; there are m^3 samples.
+
+    Raises:
+        IksamplesError: The arm cannot use all of the workspace and the study does not mask it, or
+            the guiding networks all diverge.
+    """
+    sizes = sorted(set(points_per_axis))
+    sets: dict[int, SampleSet] = {}
+    for points in _growing(study, chain):
+        while len(sets) < len(sizes) and len(points) >= sizes[len(sets)] ** len(AXES):
+            m = sizes[len(sets)]
+            sets[m] = samples_at(study, chain, ADAPTIVE, m, points[: m ** len(AXES)])
+        if len(sets) == len(sizes):
+            break
+    return sets
+
+
+def train_seeds(study: Study, samples: SampleSet, progress: bool = False) -> StackedMLP:
+    """Networks of the study trained on samples; nothing stays on the disk.
+
+    Args:
+        study: The study.
+        samples: The samples.
+        progress: Report on stderr.
+    """
+    n_trained = study.training.n_trained(samples.n_samples)
+    with TemporaryDirectory(prefix="iksamples-") as folder:
+        train(study.for_method(NETWORK, n_trained), [samples], [Path(folder)], progress=progress)
+        return StackedMLP.load(Path(folder) / "weights.safetensors")
+
+
+def _growing(study: Study, chain: SerialChain) -> Iterator[Floats]:
+    """The design's points after each round [mm], shape (n, 3)."""
+    guide = _guide(study)
+    points = _start(study, chain)
+    yield points
+    rounds = 0
+    while True:
+        rounds += 1
+        joints = reach(study, chain, points).joints
+        samples = sample_set(
+            guide, chain, ADAPTIVE, ADAPTIVE, 2, points, joints, fill_distance_mm=np.nan
+        )
+        network = train_seeds(guide, samples)
+        k = round(_FIRST * _GROWTH**rounds) - len(points)
+        points = np.concatenate([points, propose(study, chain, samples, network, k)])
+        yield points
+
+
+def _start(study: Study, chain: SerialChain) -> Floats:
+    """The workspace's usable corners, and where some are not usable, the points farthest off."""
+    box = study.workspace
+    corners = full_grid(box.lower_mm, box.upper_mm, 2)
+    points = corners[reach(study, chain, corners).usable]
+    region = region_points(study, chain, _REGION_POINTS)
+    if not len(points):
+        points = region[:1]
+    alike = np.ones(len(region))
+    return np.concatenate([points, spread(region, alike, points, _FIRST - len(points))])
+
+
+def _guide(study: Study) -> Study:
+    """The study as the guiding networks are trained."""
+    training = study.training.model_copy(
+        update={
+            "optimizer": "adam",
+            "steps": _STEPS,
+            "early_stopping": None,
+            "held_out": HeldOut(validation_share=0, test_share=0),
+            "seeds": GUIDES,
+            "first_seed": _FIRST_GUIDE + GUIDES * study.samples.seed % _FIRST_GUIDE,
+            "snapshots": 2,
+            "engine": "auto",
+            "accelerator": "cpu",
+        }
+    )
+    return study.model_copy(update={"training": training})

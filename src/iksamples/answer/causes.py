@@ -1,0 +1,174 @@
+"""Why a method fails: only what the study's own data show, each with its number."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from iksamples.answer.answer import Cause, Rung
+from iksamples.answer.outcomes import Line, errors_at_samples
+from iksamples.answer.statistics import FEWEST_SEEDS, Interval, compare, draws, interval
+from iksamples.answer.words import (
+    described,
+    millimetres,
+    percent,
+    plain_millimetres,
+    same_training,
+    several,
+)
+from iksamples.results import Cell
+from iksamples.study import Study
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FALLING = 0.02
+"""A training counts as unfinished where its loss still falls by a larger share per tenth of it."""
+
+
+def causes(
+    study: Study,
+    line: Line,
+    outcomes: Mapping[Line, "pd.DataFrame"],
+    cell: Cell,
+    answers: Mapping[Line, Rung],
+    rng: np.random.Generator,
+) -> list[Cause]:
+    """What the data show about a network that fails at the most samples tried.
+
+    * *fit*: at its own samples it already misses by more than the tolerance, so what it lacks is
+      not samples. By itself this does not tell a network that is too small from one that is not
+      trained enough.
+    * *training*: the training loss is still falling when training ends; or a network of the same
+      shape, trained otherwise, is better on the same samples and seeds.
+    * *capacity*: a network of another shape, trained alike, is better on the same samples.
+    * *samples-suffice*: another method does it with no more samples of the same design.
+
+    Noise is no cause here: the samples are computed, not measured.
+
+    Args:
+        study: The study.
+        line: The network and design.
+        outcomes: Outcomes of all lines.
+        cell: The network on the most samples tried.
+        answers: Lines that meet the tolerance, with the rung that is their answer.
+        rng: Draws the resamples.
+    """
+    found = [
+        _misses_its_samples(study, cell),
+        _still_falling(cell, rng),
+        *_better_networks(study, line, outcomes, cell.samples.n_samples, rng),
+        _others_do_it(study, line, answers, cell.samples.n_samples),
+    ]
+    return [cause for cause in found if cause is not None]
+
+
+def loss_fall(history: "pd.DataFrame", rng: np.random.Generator) -> Interval:
+    """By which share the training loss falls from the last but one tenth of training to the last.
+
+    Args:
+        history: Columns seed, epoch, train_loss_rad2.
+        rng: Draws the resamples.
+
+    Returns:
+        Median over the seeds that trained for twenty epochs or more, with its interval.
+    """
+    falls = []
+    for _, losses in history.sort_values("epoch").groupby("seed")["train_loss_rad2"]:
+        loss = losses.to_numpy(float)
+        tenth = len(loss) // 10
+        if tenth >= 2 and np.isfinite(loss[-2 * tenth :]).all():
+            falls.append(1 - loss[-tenth:].mean() / loss[-2 * tenth : -tenth].mean())
+    values = np.array(falls)
+    if len(values) < FEWEST_SEEDS:
+        return Interval(float(np.median(values)) if falls else np.nan, np.nan, np.nan)
+    resampled = np.median(values[draws(len(values), rng)], axis=1)
+    return interval(float(np.median(values)), resampled)
+
+
+def _misses_its_samples(study: Study, cell: Cell) -> Cause | None:
+    errors = errors_at_samples(study, cell)
+    if errors is None or not len(errors):
+        return None
+    tolerance = study.tolerance
+    failed = int((errors > tolerance.error_mm).sum())
+    if failed <= len(errors) * (1 - tolerance.success_share) or tolerance.best_of > 1:
+        return None
+    what = {"worst": "worst", "mean": "mean"}.get(tolerance.of)
+    what = f"{what} error" if what else f"{tolerance.of} of the error"
+    return Cause(
+        kind="fit",
+        text=f"At its own {several(cell.samples.n_samples, 'sample')} {failed} of {len(errors)} "
+        f"trainings already miss by more than {plain_millimetres(tolerance.error_mm)} ({what}, "
+        f"median {millimetres(float(np.median(errors)))}): it lacks capacity or training before it "
+        "lacks samples.",
+    )
+
+
+def _still_falling(cell: Cell, rng: np.random.Generator) -> Cause | None:
+    fall = loss_fall(cell.table("history"), rng)
+    if not fall.known or fall.low <= FALLING:
+        return None
+    return Cause(
+        kind="training",
+        text=f"With {several(cell.samples.n_samples, 'sample')} its training loss still falls by "
+        f"{percent(fall.value)} (95 % interval {percent(fall.low)} to {percent(fall.high)}) in the "
+        "last tenth of training, so the training ends too early.",
+    )
+
+
+def _better_networks(
+    study: Study,
+    line: Line,
+    outcomes: Mapping[Line, "pd.DataFrame"],
+    n_samples: int,
+    rng: np.random.Generator,
+) -> list[Cause]:
+    ours = study.all_methods[line.method]
+    found = []
+    for other_line, of_other in outcomes.items():
+        other = study.all_methods[other_line.method]
+        if other_line.design != line.design or other.kind != "network":
+            continue
+        same_network = other.network == ours.network
+        if same_network == same_training(other.training, ours.training):
+            continue  # itself, or two things differ at once
+        pairs = compare(of_other, outcomes[line], rng)
+        pairs = pairs[pairs["n_samples"] == n_samples]
+        if pairs.empty or not pairs["ratio_high"].iloc[0] < 1:
+            continue
+        row = pairs.iloc[0]
+        change = "The same network trained otherwise" if same_network else "Another network"
+        found.append(
+            Cause(
+                kind="training" if same_network else "capacity",
+                text=f"{change}, {described(study, other_line.method)}, has "
+                f"{percent(row['ratio'])} of its error on the same "
+                f"{several(n_samples, 'sample')} (95 % interval {percent(row['ratio_low'])} to "
+                f"{percent(row['ratio_high'])}, median over {int(row['n_pairs'])} paired seeds).",
+            )
+        )
+    return found
+
+
+def _others_do_it(
+    study: Study, line: Line, answers: Mapping[Line, Rung], n_samples: int
+) -> Cause | None:
+    able = {
+        other.method: rung
+        for other, rung in answers.items()
+        if other.design == line.design
+        and rung.n_samples <= n_samples
+        and study.all_methods[other.method].kind != "analytic"
+    }
+    if not able:
+        return None
+    name = min(able, key=lambda key: able[key].n_samples)
+    rung = able[name]
+    proof = "certified" if rung.n_certified == rung.n_seeds else "measured, not certified"
+    return Cause(
+        kind="samples-suffice",
+        text=f"The samples are enough: {described(study, name)} meets the tolerance with "
+        f"{several(rung.n_samples, 'sample')} ({proof}).",
+    )

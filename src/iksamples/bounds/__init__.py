@@ -1,1 +1,0 @@
-"""Bounds: what the paper claims about the worst error, and what can be proved."""

@@ -1,0 +1,275 @@
+"""Forward kinematics to second order, with a closed form for everything beyond.
+
+A serial chain moves a sum of vectors, each turned by the revolute joints before it:
+
+    p(q) = u_0 + R_1 u_1 + R_1 R_2 u_2 + ...,
+
+with ``u_s`` fixed, or affine in the prismatic joints that follow revolute joint ``s``. The part of
+``u_s`` along axis ``s`` is not turned by joint ``s``, so it is handed to ``u_(s-1)``; that keeps
+every vector, and with it every remainder below, as short as it can be.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iksamples.arm.chain import SerialChain
+
+
+Floats = NDArray[np.float64]
+
+PARALLEL = 1e-12
+"""Sine of the angle between two axes below which they count as parallel. What that leaves out
+drowns in the rounding slack here, and the checker counts it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linkage:
+    """A serial chain as a sum of turned vectors.
+
+    Attributes:
+        revolute: Which joints turn (the others slide), shape (joints,).
+        axes: Unit axes in the base frame at zero, shape (joints, 3).
+        vectors_mm: ``u_s`` with the sliding joints at zero [mm], shape (joints + 1, 3). Row
+            ``i + 1`` is turned by the joints up to ``i``; it is zero where joint ``i`` slides.
+        slides: Derivative of ``u_s`` by each joint, shape (joints + 1, joints, 3).
+        angle_sums: The total angle of a run of consecutive parallel axes up to joint ``i`` is
+            ``angle_sums[i] @ q``, shape (joints, joints).
+        turning: Which of those totals turn a vector: of each run of parallel axes before it the
+            last one, shape (moved, joints).
+        moved: The rows of ``vectors_mm`` that are turned at all.
+    """
+
+    revolute: NDArray[np.bool_]
+    axes: Floats
+    vectors_mm: Floats
+    slides: Floats
+    angle_sums: Floats
+    turning: Floats
+    moved: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, chain: SerialChain) -> "Linkage":
+        """Takes a chain apart."""
+        n = chain.n_joints
+        revolute = np.array([kind == "revolute" for kind in chain.joint_kinds])
+        axes = chain.axes / np.linalg.norm(chain.axes, axis=1, keepdims=True)
+
+        vectors = np.zeros((n + 1, 3))
+        slides = np.zeros((n + 1, n, 3))
+        row, knot = 0, np.zeros(3)
+        for i in range(n):
+            if revolute[i]:
+                vectors[row] = chain.points_mm[i] - knot
+                row, knot = i + 1, chain.points_mm[i]
+            else:
+                slides[row, i] = axes[i]
+        vectors[row] = chain.tip_mm - knot
+
+        rows = [0, *(np.flatnonzero(revolute) + 1)]
+        for before, row in reversed(list(pairwise(rows))):
+            axis = axes[row - 1]
+            along, slid_along = (vectors[row] @ axis) * axis, np.outer(slides[row] @ axis, axis)
+            vectors[row] -= along
+            vectors[before] += along
+            slides[row] -= slid_along
+            slides[before] += slid_along
+        slides[np.abs(slides) < PARALLEL] = 0.0
+
+        angle_sums, turning = np.zeros((n, n)), np.zeros((n + 1, n))
+        last: int | None = None
+        for i in range(n):
+            turning[i + 1] = turning[i]
+            if not revolute[i]:
+                continue
+            angle_sums[i, i] = 1.0
+            if last is not None and np.linalg.norm(np.cross(axes[last], axes[i])) <= PARALLEL:
+                angle_sums[i] += np.sign(axes[last] @ axes[i]) * angle_sums[last]
+                turning[i + 1, last] = 0.0
+            turning[i + 1, i] = 1.0
+            last = i
+        moved = np.flatnonzero(
+            turning.any(axis=1) & (vectors.any(axis=1) | slides.any(axis=(1, 2)))
+        )
+        return cls(revolute, axes, vectors, slides, angle_sums, turning[moved], moved)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of moving joints."""
+        return len(self.revolute)
+
+    @property
+    def slides_at_all(self) -> bool:
+        """Whether any joint is prismatic."""
+        return not bool(self.revolute.all())
+
+    def lengths_mm(self, joints: Floats) -> Floats:
+        """Length of each turned vector [mm], shape (batch or 1, moved)."""
+        if not self.slides_at_all:
+            return np.linalg.norm(self.vectors_mm[self.moved], axis=-1)[None]
+        return np.linalg.norm(self._vectors(joints)[:, self.moved], axis=-1)
+
+    def turns(self, change: Floats) -> Floats:
+        """Angle by which each turned vector is turned at most [rad], shape (..., moved).
+
+        Args:
+            change: Bounds of ``|angle_sums @ change of the joints|`` [rad], shape (..., joints).
+        """
+        return change @ self.turning.T
+
+    def shifts_mm(self, change: Floats) -> Floats:
+        """Length by which each turned vector is changed at most [mm], shape (..., moved).
+
+        Args:
+            change: Bounds of the changes of the joints [rad or mm], shape (..., joints).
+        """
+        return change @ np.linalg.norm(self.slides[self.moved], axis=-1).T
+
+    def levers_mm(self, joint_ranges: Floats) -> Floats:
+        """How far the tip can move per unit of each joint [mm/rad, or 1], shape (joints,).
+
+        Args:
+            joint_ranges: Largest absolute value of each joint [rad or mm], shape (joints,).
+        """
+        lengths = np.linalg.norm(self.vectors_mm, axis=-1)
+        lengths = lengths + np.linalg.norm(self.slides, axis=-1) @ joint_ranges
+        behind = np.cumsum(lengths[::-1])[::-1][1:]
+        return np.where(self.revolute, behind, 1.0)
+
+    def position_mm(self, joints: Floats) -> Floats:
+        """Position of the tip [mm], shape (batch, 3), for joints of shape (batch, joints)."""
+        vectors = np.broadcast_to(self._vectors(joints), (len(joints), self.n_joints + 1, 3))
+        sines, cosines = np.sin(joints), np.cos(joints)
+        arm = np.array(vectors[:, -1])
+        for i in reversed(range(self.n_joints)):
+            if self.revolute[i]:
+                axis, cross = self.axes[i], _cross_matrix(self.axes[i])
+                along = (arm @ axis)[:, None] * axis
+                arm = (
+                    along
+                    + cosines[:, i, None] * (arm - along)
+                    + sines[:, i, None] * (arm @ cross.T)
+                )
+            arm += vectors[:, i]
+        return arm
+
+    def jets(self, joints: Floats) -> tuple[Floats, Floats, Floats]:
+        """Position, Jacobian and Hessian of the tip.
+
+        With ``w_i`` the direction of axis ``i`` in the pose, ``J_i = w_i x (p - o_i)`` for a
+        revolute joint and ``J_i = w_i`` for a prismatic one. Turning joint ``i`` turns everything
+        behind it, so for ``i <= j`` the second derivative is ``w_i x J_j``; sliding it changes no
+        direction, so there it is zero.
+
+        Args:
+            joints: Joint values [rad or mm], shape (batch, joints).
+
+        Returns:
+            Position [mm], shape (3, batch); Jacobian, shape (3, batch, joints); the upper triangle
+            ``U`` of the Hessian with its diagonal halved, so that the second-order term is
+            ``d @ U @ d``, shape (3, batch, joints, joints).
+        """
+        batch, n = joints.shape
+        rotation = np.tile(np.eye(3), (batch, 1))
+        vectors = self._vectors(joints)
+        directions, turned = np.empty((3, batch, n)), np.empty((3, batch, n + 1))
+        turned[:, :, 0] = vectors[:, 0].T
+        sines = np.repeat(np.sin(joints), 3, axis=0)
+        versines = np.repeat(1.0 - np.cos(joints), 3, axis=0)
+        for i in range(n):
+            directions[:, :, i] = (rotation @ self.axes[i]).reshape(batch, 3).T
+            if not self.revolute[i]:
+                turned[:, :, i + 1] = 0.0
+                continue
+            cross = _cross_matrix(self.axes[i])
+            # Rodrigues' formula, for all rows of all rotations at once.
+            rotation = (
+                rotation
+                + sines[:, i, None] * (rotation @ cross)
+                + versines[:, i, None] * (rotation @ (cross @ cross))
+            )
+            if len(vectors) == 1:
+                turned[:, :, i + 1] = (rotation @ vectors[0, i + 1]).reshape(batch, 3).T
+            else:
+                frames = rotation.reshape(batch, 3, 3)
+                turned[:, :, i + 1] = (frames @ vectors[:, i + 1, :, None])[:, :, 0].T
+        # Everything behind a joint, summed from the tip backwards.
+        arms = np.cumsum(turned[:, :, ::-1], axis=2)[:, :, ::-1]
+        jacobian = _cross(directions, arms[:, :, 1:])
+        if self.slides_at_all:
+            jacobian[:, :, ~self.revolute] = directions[:, :, ~self.revolute]
+            directions[:, :, ~self.revolute] = 0.0
+        hessian = _cross(directions[:, :, :, None], jacobian[:, :, None, :])
+        hessian *= np.triu(np.ones((n, n))) - 0.5 * np.eye(n)
+        return arms[:, :, 0], jacobian, hessian
+
+    def _vectors(self, joints: Floats) -> Floats:
+        """Every ``u_s`` in the given pose, shape (batch or 1, joints + 1, 3)."""
+        if not self.slides_at_all:
+            return self.vectors_mm[None]
+        return self.vectors_mm + np.einsum("bk,skc->bsc", joints, self.slides)
+
+
+def cubic_remainder_mm(
+    lengths_mm: Floats, turns: Floats, shifts_mm: Floats | float = 0.0
+) -> Floats:
+    """What the second-order expansion of the forward kinematics leaves out, at most.
+
+    Along ``q + t d`` the vector ``R(t) (u + t g)`` has a rotation whose k-th derivative is a sum of
+    k-fold cross products with unit axes, of norm at most ``S^k``, where ``S`` is the sum of
+    ``|angle|`` over the runs of parallel axes before it (inside such a run rotations add up). So
+    ``R(t) u`` leaves at most ``|u| S^3 / 6``, and ``t R(t) g``, whose rotation is only expanded to
+    first order, leaves at most ``|g| S^2 / 2``. Either is attained in the limit of small steps: by
+    a single revolute joint, and by a slide from zero on a turning axis.
+
+    Args:
+        lengths_mm: ``|u_s|`` at the centre [mm], shape (..., vectors).
+        turns: ``S_s`` [rad], shape (..., vectors).
+        shifts_mm: ``|g_s|`` [mm], shape (..., vectors).
+
+    Returns:
+        Bound of the norm of the remainder [mm], shape (...).
+    """
+    return np.sum((lengths_mm * turns / 6.0 + 0.5 * shifts_mm) * turns**2, axis=-1)
+
+
+def bending_mm(
+    lengths_mm: Floats,
+    turns: Floats,
+    small_turns: Floats,
+    shifts_mm: Floats | float = 0.0,
+    small_shifts_mm: Floats | float = 0.0,
+) -> Floats:
+    """Second-order terms in which a small second change of the joints takes part, at most.
+
+    The second derivative of ``R u`` along changes a and b has norm at most
+    ``|u| S_a S_b + S_a |g_b| + S_b |g_a|``. For the change a + b the second-order term exceeds that
+    of a alone by the derivative along (a, b) and half of that along (b, b).
+
+    Args:
+        lengths_mm: ``|u_s|`` at the centre [mm], shape (..., vectors).
+        turns: ``S_s`` of the main change [rad], shape (..., vectors).
+        small_turns: ``S_s`` of the small change [rad], shape (..., vectors).
+        shifts_mm: ``|g_s|`` of the main change [mm], shape (..., vectors).
+        small_shifts_mm: ``|g_s|`` of the small change [mm], shape (..., vectors).
+
+    Returns:
+        Bound of the norm [mm], shape (...).
+    """
+    turning = lengths_mm * (turns + 0.5 * small_turns) * small_turns
+    sliding = (turns + small_turns) * small_shifts_mm + small_turns * shifts_mm
+    return np.sum(turning + sliding, axis=-1)
+
+
+def _cross_matrix(axis: Floats) -> Floats:
+    x, y, z = axis
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Cross product along the first axis."""
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )

@@ -1,0 +1,125 @@
+"""The networks to certify, checked and in float64."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
+
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Networks of one shape in float64, checked.
+
+    Attributes:
+        weights: One array per layer, shape (networks, in, out).
+        biases: One array per layer, shape (networks, out).
+        activation: ``"relu"`` or ``"tanh"``.
+        offset_mm: What the normalisation subtracts [mm], shape (in,).
+        scale_mm: What the normalisation divides by [mm], shape (in,).
+    """
+
+    weights: tuple[Floats, ...]
+    biases: tuple[Floats, ...]
+    activation: str
+    offset_mm: Floats
+    scale_mm: Floats
+
+    @classmethod
+    def of(cls, network: StackedMLP) -> "Layers":
+        """Reads a stack.
+
+        Raises:
+            IksamplesError: The activation is unknown, the layers do not fit together, or a number
+                is not finite.
+        """
+        if network.activation not in ("relu", "tanh"):
+            raise IksamplesError(
+                f"cannot certify a network with activation '{network.activation}'; "
+                "known are relu and tanh."
+            )
+        layers = cls(
+            tuple(np.asarray(weight, float) for weight in network.weights),
+            tuple(np.asarray(bias, float) for bias in network.biases),
+            network.activation,
+            np.asarray(network.offset_mm, float),
+            np.asarray(network.scale_mm, float),
+        )
+        width = len(layers.offset_mm)
+        for depth, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
+            if weight.shape[1] != width or weight.shape[::2] != bias.shape:
+                raise IksamplesError(
+                    f"layer {depth} of the network does not fit: {weight.shape[1:]} weights, "
+                    f"{bias.shape[1:]} biases, {width} inputs."
+                )
+            width = weight.shape[2]
+            for row in range(len(weight)):
+                if not (np.isfinite(weight[row]).all() and np.isfinite(bias[row]).all()):
+                    raise IksamplesError(
+                        f"network {row} of the stack has a weight or bias that is not finite in "
+                        f"layer {depth}; a diverged network has no worst case."
+                    )
+        if layers.scale_mm.shape != layers.offset_mm.shape or not (
+            np.isfinite(layers.offset_mm).all()
+            and np.isfinite(layers.scale_mm).all()
+            and (layers.scale_mm != 0).all()
+        ):
+            raise IksamplesError("the network's normalisation (offset_mm, scale_mm) is not finite.")
+        return layers
+
+    @property
+    def n_networks(self) -> int:
+        """Number of stacked networks."""
+        return self.weights[0].shape[0]
+
+    @property
+    def n_inputs(self) -> int:
+        """Width of the input."""
+        return self.weights[0].shape[1]
+
+    @property
+    def n_outputs(self) -> int:
+        """Width of the output."""
+        return self.weights[-1].shape[2]
+
+    def predict(self, positions_mm: Floats, which: Ints) -> Floats:
+        """Joint values at single points.
+
+        Args:
+            positions_mm: Positions [mm], shape (points, in).
+            which: The network that each point is for, shape (points,).
+
+        Returns:
+            Joint values [rad or mm], shape (points, joints).
+        """
+        hidden = ((positions_mm - self.offset_mm) / self.scale_mm)[:, None, :]
+        for depth in range(len(self.weights)):
+            hidden = self.through(hidden, depth, which)
+            hidden[:, 0] += self.bias(depth, which)
+            if depth < len(self.weights) - 1:
+                hidden = np.maximum(hidden, 0.0) if self.activation == "relu" else np.tanh(hidden)
+        return hidden[:, 0]
+
+    def through(self, rows: Floats, depth: int, which: Ints) -> Floats:
+        """Rows (batch, rows, in) times the weights of a layer."""
+        weight = self.weights[depth]
+        if len(weight) == 1:
+            batch, count, width = rows.shape
+            return (rows.reshape(-1, width) @ weight[0]).reshape(batch, count, -1)
+        return rows @ weight[which]
+
+    def weight(self, depth: int, which: Ints) -> Floats:
+        """Weights of a layer for each item of a batch, shape (batch or 1, in, out)."""
+        weight = self.weights[depth]
+        return weight if len(weight) == 1 else weight[which]
+
+    def bias(self, depth: int, which: Ints) -> Floats:
+        """Biases of a layer for each item of a batch, shape (batch or 1, out)."""
+        bias = self.biases[depth]
+        return bias if len(bias) == 1 else bias[which]

@@ -1,0 +1,187 @@
+"""The map step: of the networks that pictures show, where the error is too large, and since when.
+
+A picture shows one network of each set of samples: on each of the study's paths the one whose mean
+error is the median over the seeds. For these few networks more is proved than for the rest.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.certify.dynamic import certify_training
+from iksamples.certify.lipschitz import certify_lipschitz
+from iksamples.certify.region import certify_coverage
+from iksamples.evaluation.shown import median_seed, networks_over_epochs
+from iksamples.results import Cell
+from iksamples.study import Study
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TRAINING, UNSAFE = "training_bound", "unsafe"
+"""Names of the two tables, beside the others of a cell."""
+
+MAX_BOXES = 400
+"""Boxes kept of a network, largest first; more are slow to draw."""
+
+_AXES = ("x", "y", "z")
+_LOWER = [f"lower_{axis}_mm" for axis in _AXES]
+_UPPER = [f"upper_{axis}_mm" for axis in _AXES]
+_RTOL = 0.02
+# A Lipschitz constant takes fifty times as long as a worst case: few epochs get one, and loosely.
+_LIPSCHITZ_EPOCHS, _LIPSCHITZ_RTOL, _LIPSCHITZ_BOXES = 6, 0.5, 500
+# The share is known to within 2 % either way; boxes on the border matter to a picture only.
+_ATOL, _MIXED = 0.04, 0.4
+
+
+def shown_seeds(study: Study, cell: Cell) -> list[int]:
+    """The seeds that pictures show of a cell, those of the first path first; none diverged.
+
+    A recording takes the median over all seeds and leaves a grid out whose median one diverged; the
+    report takes it over those that did not diverge.
+    """
+    errors = cell.table("errors").rename(columns={"error_mean_mm": "error_mm"})
+    members = cell.table("members")
+    sound = set(members.loc[~members["diverged"].astype(bool), "seed"])
+    seeds = []
+    for path in study.evaluation.paths if sound else ():
+        rows = errors[errors["region"] == path]
+        seeds += [median_seed(rows[rows["seed"].isin(sound)]), median_seed(rows)]
+    return [seed for seed in dict.fromkeys(seeds) if seed in sound]
+
+
+def map_cell(study: Study, chain: SerialChain, cell: Cell) -> "dict[str, pd.DataFrame]":
+    """What is proved of the networks that pictures show of a cell.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        cell: A trained method on one set of samples, evaluated.
+
+    Returns:
+        Name of the table -> table; both may have no row, where every network diverged.
+
+        ``training_bound``: one row per shown seed and epoch kept (at most 60): seed, epoch,
+        sup_lower_mm, sup_upper_mm, training_mean_mm, training_max_mm, complete, and at some
+        epochs lipschitz_lower, lipschitz_upper (of h - id; NaN elsewhere).
+
+        ``unsafe``: one row per box in which the error is above the study's tolerance everywhere,
+        at most 400 for a seed, the largest: seed, lower_x_mm ... upper_z_mm; and the same in every
+        row of a seed: tolerance_mm, safe_lower and safe_upper, between which the share of the
+        workspace under the tolerance lies, and drawn, the boxes' share. A seed without such a box
+        has one row without corners.
+    """
+    import pandas as pd
+
+    trainings, boxes = [], []
+    for seed in shown_seeds(study, cell):
+        trainings.append(_training(study, chain, cell, seed))
+        boxes.append(_unsafe(study, chain, cell, seed))
+    return {
+        TRAINING: pd.concat(trainings, ignore_index=True) if trainings else _empty(_TRAINING),
+        UNSAFE: pd.concat(boxes, ignore_index=True) if boxes else _empty(_UNSAFE),
+    }
+
+
+def merge_boxes(lower: ArrayLike, upper: ArrayLike) -> tuple[Floats, Floats]:
+    """Joins boxes that share a whole face, one axis after the other.
+
+    Args:
+        lower: Lower corners of boxes that do not overlap, shape (n, d).
+        upper: Their upper corners, shape (n, d).
+
+    Returns:
+        Corners of fewer boxes that fill the same space.
+    """
+    low, high = np.array(lower, float), np.array(upper, float)
+    for axis in range(low.shape[1] if len(low) else 0):
+        others = [k for k in range(low.shape[1]) if k != axis]
+        # Corners that are the same number on paper may differ in their last digit.
+        sides = np.round(np.concatenate([low[:, others], high[:, others]], axis=1), 9)
+        order = np.lexsort([low[:, axis], *sides.T])
+        low, high, sides = low[order], high[order], sides[order]
+        begins = np.ones(len(low), bool)
+        begins[1:] = np.any(sides[1:] != sides[:-1], axis=1)
+        begins[1:] |= np.abs(low[1:, axis] - high[:-1, axis]) > 1e-9
+        first = np.flatnonzero(begins)
+        last = np.append(first[1:], len(low)) - 1
+        joined = high[first]
+        joined[:, axis] = high[last, axis]
+        low, high = low[first], joined
+    return low, high
+
+
+def _training(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
+    box = study.workspace.lower_mm, study.workspace.upper_mm
+    epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
+    table = certify_training(
+        networks, epochs, chain, cell.samples.positions_mm, *box, rtol=_RTOL, lipschitz_rtol=None
+    )
+    # Logarithmically spread, as the training is fastest at its start.
+    few = np.geomspace(1, len(table), min(_LIPSCHITZ_EPOCHS, len(table))).round().astype(int) - 1
+    few = np.unique(few)
+    rows = np.flatnonzero(np.isin(epochs, table["epoch"]))[few]
+    constants = certify_lipschitz(
+        networks.select(rows.tolist()),
+        chain,
+        *box,
+        rtol=_LIPSCHITZ_RTOL,
+        max_boxes=_LIPSCHITZ_BOXES,
+    )
+    for name in ("lower", "upper"):
+        column = np.full(len(table), np.nan)
+        column[few] = [getattr(constant, name) for constant in constants]
+        table[f"lipschitz_{name}"] = column
+    return table[list(_TRAINING)]
+
+
+def _unsafe(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
+    import pandas as pd
+
+    lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
+    coverage = certify_coverage(
+        cell.network,
+        cell.network.seeds.index(seed),
+        chain,
+        lower,
+        upper,
+        study.tolerance.error_mm,
+        atol=_ATOL,
+        mixed=_MIXED,
+    )
+    low, high = merge_boxes(coverage.bad_lower_mm, coverage.bad_upper_mm)
+    volume = np.prod((high - low) / (upper - lower), axis=1)
+    largest = np.argsort(-volume, kind="stable")[:MAX_BOXES]
+    drawn = float(volume[largest].sum())
+    corners = np.hstack([low, high])[largest] if len(largest) else np.full((1, 6), np.nan)
+    table = pd.DataFrame(corners, columns=[*_LOWER, *_UPPER])
+    return table.assign(
+        seed=seed,
+        tolerance_mm=coverage.tolerance_mm,
+        safe_lower=coverage.lower,
+        safe_upper=coverage.upper,
+        drawn=drawn,
+    )[list(_UNSAFE)]
+
+
+_TRAINING = (
+    "seed",
+    "epoch",
+    "sup_lower_mm",
+    "sup_upper_mm",
+    "training_mean_mm",
+    "training_max_mm",
+    "lipschitz_lower",
+    "lipschitz_upper",
+    "complete",
+)
+_UNSAFE = ("seed", *_LOWER, *_UPPER, "tolerance_mm", "safe_lower", "safe_upper", "drawn")
+
+
+def _empty(columns: tuple[str, ...]) -> "pd.DataFrame":
+    import pandas as pd
+
+    return pd.DataFrame(columns=list(columns))

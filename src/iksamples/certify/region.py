@@ -1,0 +1,394 @@
+"""The mean error over a box, and the share of the box under a tolerance, enclosed."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iksamples.arm.chain import SerialChain
+from iksamples.certify.enclosure import corners
+from iksamples.certify.residual import Comparison, ErrorOverBoxes, Residual
+from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
+
+
+Floats = NDArray[np.float64]
+
+_FIRST = 8
+"""Cells per axis to begin with, up to three dimensions."""
+_ROUND = 4096
+"""Cells split at once, at most."""
+_FLAT = 1e-3
+"""Slopes below this share of the steepest one are raised to it; less would cost digits."""
+_SHARE_SLACK = 1e-7
+
+
+@dataclass(frozen=True)
+class MeanError:
+    """The mean position error over the box, enclosed.
+
+    Attributes:
+        lower_mm: The mean is at least this [mm].
+        upper_mm: The mean is at most this [mm].
+        boxes: Cells bounded.
+        seconds: Time spent.
+        complete: Whether the two met to the tolerance asked for; they hold in any case.
+    """
+
+    lower_mm: float
+    upper_mm: float
+    boxes: int
+    seconds: float
+    complete: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """The share of the box where the error is at most a tolerance, enclosed.
+
+    Attributes:
+        tolerance_mm: The tolerance [mm].
+        lower: At least this share of the box is under the tolerance.
+        upper: At most this share is.
+        bad_lower_mm: Lower corners of cells where the error is above the tolerance everywhere
+            [mm], shape (cells, d).
+        bad_upper_mm: Their upper corners [mm], shape (cells, d).
+        mixed: Share of the box in cells that are neither good nor bad throughout.
+        boxes: Cells bounded.
+        seconds: Time spent.
+        complete: Whether the tolerances asked for were met; the bounds hold in any case.
+    """
+
+    tolerance_mm: float
+    lower: float
+    upper: float
+    bad_lower_mm: Floats
+    bad_upper_mm: Floats
+    mixed: float
+    boxes: int
+    seconds: float
+    complete: bool
+
+
+def certify_mean(
+    network: StackedMLP,
+    row: int,
+    chain: SerialChain,
+    lower_mm: ArrayLike,
+    upper_mm: ArrayLike,
+    *,
+    rtol: float = 0.025,
+    atol_mm: float = 0.0,
+    max_boxes: int = 1_000_000,
+    time_limit_s: float = 60.0,
+    compare: Comparison | None = None,
+) -> MeanError:
+    """The mean position error over a box, uniformly weighted.
+
+    Args:
+        network: Stacked networks.
+        row: Which of them.
+        chain: The arm.
+        lower_mm: Lower corner of the box [mm], shape (in,).
+        upper_mm: Upper corner of the box [mm], shape (in,).
+        rtol: The bounds end up within this share of their middle,
+        atol_mm: or within this length of it [mm], if that is more.
+        max_boxes: Cells to bound, at most.
+        time_limit_s: Time to spend, at most [s].
+        compare: What is compared; the first coordinates with the first inputs if None.
+
+    Raises:
+        IksamplesError: As ``certify_sup``.
+    """
+    began = time.perf_counter()
+    errors = ErrorOverBoxes(network.select([row]), chain, lower_mm, upper_mm, compare)
+    cells = _Cells(errors)
+    low, high, weight = np.empty(0), np.empty(0), np.empty((0, len(errors.lower_mm)))
+    while True:
+        fresh_low, fresh_high, fresh_weight = cells.bound_new(_mean_of_cells)
+        low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
+        weight = np.concatenate([weight, fresh_weight])
+        volume = cells.volume
+        least = float(volume @ low) - float(errors.slack_mm[0])
+        most = float(volume @ high) + float(errors.slack_mm[0])
+        allowed = max(rtol * (least + most), 2 * atol_mm)
+        done = most - least <= allowed
+        if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
+            return MeanError(
+                max(least, 0.0), most, cells.bounded, time.perf_counter() - began, done
+            )
+        keep = cells.split(volume * (high - low), allowed, weight)
+        low, high, weight = low[keep], high[keep], weight[keep]
+
+
+def certify_coverage(
+    network: StackedMLP,
+    row: int,
+    chain: SerialChain,
+    lower_mm: ArrayLike,
+    upper_mm: ArrayLike,
+    tolerance_mm: float,
+    *,
+    atol: float = 0.02,
+    mixed: float = 1.0,
+    max_boxes: int = 1_000_000,
+    time_limit_s: float = 60.0,
+    compare: Comparison | None = None,
+) -> Coverage:
+    """The share of a box where the position error is at most a tolerance.
+
+    Args:
+        network: Stacked networks.
+        row: Which of them.
+        chain: The arm.
+        lower_mm: Lower corner of the box [mm], shape (in,).
+        upper_mm: Upper corner of the box [mm], shape (in,).
+        tolerance_mm: The tolerance [mm].
+        atol: The bounds of the share end up this close.
+        mixed: Cells that are neither good nor bad throughout end up with at most this share of the
+            box. The share itself needs no such limit; a drawing of the bad cells does.
+        max_boxes: Cells to bound, at most.
+        time_limit_s: Time to spend, at most [s].
+        compare: What is compared; the first coordinates with the first inputs if None.
+
+    Raises:
+        IksamplesError: As ``certify_sup``, or the tolerance is not positive.
+    """
+    if not (np.isfinite(tolerance_mm) and tolerance_mm > 0):
+        raise IksamplesError(f"the tolerance must be a positive length; got {tolerance_mm} mm.")
+    began = time.perf_counter()
+    errors = ErrorOverBoxes(network.select([row]), chain, lower_mm, upper_mm, compare)
+    slack = float(errors.slack_mm[0])
+    cells = _Cells(errors)
+    low, high, weight = np.empty(0), np.empty(0), np.empty((0, len(errors.lower_mm)))
+    while True:
+        fresh_low, fresh_high, fresh_weight = cells.bound_new(
+            lambda residual: _share_of_cells(residual, tolerance_mm, slack)
+        )
+        low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
+        weight = np.concatenate([weight, fresh_weight])
+        volume = cells.volume
+        undecided = (low < 1.0) & (high > 0.0)
+        least, most = float(volume @ low), float(volume @ high)
+        left = float(volume @ undecided)
+        done = most - least <= atol and left <= mixed
+        if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
+            bad_low, bad_high = cells.corners_mm(high <= 0.0)
+            return Coverage(
+                float(tolerance_mm),
+                least,
+                most,
+                bad_low,
+                bad_high,
+                left,
+                cells.bounded,
+                time.perf_counter() - began,
+                done,
+            )
+        if most - least > atol:
+            keep = cells.split(volume * (high - low), atol, weight)
+        else:
+            keep = cells.split(volume * undecided, 0.0, weight)
+        low, high, weight = low[keep], high[keep], weight[keep]
+
+
+class _Cells:
+    """Cells that tile the box; the new ones wait at the end to be bounded."""
+
+    def __init__(self, errors: ErrorOverBoxes) -> None:
+        d = len(errors.lower_mm)
+        per_axis = _FIRST if d <= 3 else 2
+        axis = np.arange(per_axis) / per_axis
+        self.low = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
+        self.edge = np.full_like(self.low, 1.0 / per_axis)
+        self.errors = errors
+        self.bounded = 0
+        self.new = len(self.low)
+
+    @property
+    def volume(self) -> Floats:
+        """Each cell's share of the box."""
+        return np.prod(self.edge, axis=1)
+
+    def corners_mm(self, mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Lower and upper corners [mm] of some cells."""
+        size = self.errors.upper_mm - self.errors.lower_mm
+        low = self.errors.lower_mm + size * self.low[mask]
+        return low, low + size * self.edge[mask]
+
+    def bound_new(
+        self, bound: Callable[[Residual], tuple[Floats, Floats]]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Bounds the new cells."""
+        size = self.errors.upper_mm - self.errors.lower_mm
+        parts = []
+        for first in range(len(self.low) - self.new, len(self.low), 1024):
+            low, edge = self.low[first : first + 1024], self.edge[first : first + 1024]
+            centre = self.errors.lower_mm + size * (low + 0.5 * edge)
+            which = np.zeros(len(low), int)
+            residual = self.errors.residual(which, centre, 0.5 * size * edge)
+            parts.append((*bound(residual), _weight(residual)))
+        self.bounded += self.new
+        low_bound, high_bound, weight = (
+            np.concatenate(column) for column in zip(*parts, strict=True)
+        )
+        return low_bound, high_bound, weight
+
+    def split(self, loss: Floats, allowed: float, weight: Floats) -> NDArray[np.int64]:
+        """Halves the cells that lose most; returns which cells are kept as they are.
+
+        A cell may stay as it is while it loses no more than its part of what is allowed.
+        """
+        order = np.argsort(-loss)[:_ROUND]
+        chosen = order[loss[order] > 0.5 * allowed / len(loss)]
+        rows = np.arange(len(chosen))
+        low, edge = self.low[chosen], self.edge[chosen]
+        axis = weight[chosen].argmax(axis=1)
+        edge[rows, axis] *= 0.5
+        twin = low.copy()
+        twin[rows, axis] += edge[rows, axis]
+        keep = np.ones(len(loss), bool)
+        keep[chosen] = False
+        kept = np.flatnonzero(keep)
+        self.low = np.concatenate([self.low[kept], low, twin])
+        self.edge = np.concatenate([self.edge[kept], edge, edge])
+        self.new = 2 * len(chosen)
+        return kept
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """The residual over cells, cut along and across its mean.
+
+    The error is within ``blur`` of ``|z|`` with z a polynomial, and on average over the cell within
+    ``mean_blur``. Along n, the direction of the mean of z, it is ``mean + slope s`` to within
+    ``bend`` and varies by ``variance``; what is across n has the mean square ``across`` and a
+    square of at most ``across_max``.
+    """
+
+    mean: Floats
+    slope: Floats
+    bend: Floats
+    variance: Floats
+    across: Floats
+    across_max: Floats
+    blur: Floats
+    mean_blur: Floats
+
+
+def _cut(residual: Residual) -> _Cut:
+    d = residual.linear_mm.shape[1]
+    squares, mixed = residual.quadratic_mm[:, :d], residual.quadratic_mm[:, d:]
+    centre = residual.centre_mm + squares.sum(axis=1) / 3.0  # the mean of s^2 is 1/3
+    mean = np.linalg.norm(centre, axis=1)
+    direction = np.where(
+        mean[:, None] > 0, centre / np.maximum(mean, np.finfo(float).tiny)[:, None], 0.0
+    )
+    direction[mean == 0, 0] = 1.0
+
+    # Terms s_a, s_a^2 - 1/3 and s_a s_b: no mean, not correlated; largest value and mean square.
+    terms = np.concatenate([residual.linear_mm, squares, mixed], axis=1)
+    kinds = np.repeat([0, 1, 2], [d, d, mixed.shape[1]])
+    largest = np.array([1.0, 2.0 / 3.0, 1.0])[kinds]
+    square = np.array([1.0 / 3.0, 4.0 / 45.0, 1.0 / 9.0])[kinds]
+    along = np.einsum("btk,bk->bt", terms, direction)
+    across = np.linalg.norm(terms - along[:, :, None] * direction[:, None], axis=2)
+    size = np.abs(residual.noise_mm)
+    noise = np.linalg.norm(size.sum(axis=1), axis=1)
+    # The mean of something convex is at most the mean of its corners.
+    mean_noise = noise
+    if not residual.one_sided:
+        mean_noise = np.linalg.norm(residual.reach @ size, axis=2).mean(axis=1)
+    return _Cut(
+        mean,
+        along[:, :d],
+        np.abs(along[:, d:]) @ largest[d:],
+        along**2 @ square,
+        across**2 @ square,
+        (across @ largest) ** 2,
+        noise + residual.remainder_mm.max(axis=1),
+        mean_noise + residual.remainder_mm.mean(axis=1),
+    )
+
+
+def _weight(residual: Residual) -> Floats:
+    """What is lost along each axis: by the enclosure, and by taking a norm of what is not constant.
+
+    The norm of something affine bends by about the square of its slope over its size.
+    """
+    slope = np.linalg.norm(residual.linear_mm, axis=2)
+    size = np.linalg.norm(residual.centre_mm, axis=1) + slope.sum(axis=1)
+    return residual.weight_mm + slope**2 / np.maximum(size, np.finfo(float).tiny)[:, None]
+
+
+def _mean_of_cells(residual: Residual) -> tuple[Floats, Floats]:
+    """Bounds of the mean error over each cell.
+
+    With t along and q the square of what is across, ``|z| = t + g(t, q)``, where
+    ``g = sqrt(t^2 + q) - t`` falls with t and is concave in q. So the mean of g is at most
+    ``g(least t, mean q)``, by Jensen's inequality, and at least ``g(largest t, largest q) (mean q)
+    / (largest q)``, by the chord. The mean of z^2 gives a second upper bound.
+    """
+    cut = _cut(residual)
+    reach = np.abs(cut.slope).sum(axis=1) + cut.bend
+    above = cut.mean + _bulge(cut.mean - reach, cut.across)
+    above = np.minimum(above, np.sqrt(cut.mean**2 + cut.variance + cut.across))
+    part = cut.across / np.maximum(cut.across_max, np.finfo(float).tiny)
+    below = cut.mean + _bulge(cut.mean + reach, cut.across_max) * np.minimum(part, 1.0)
+    return np.maximum(below - cut.mean_blur, 0.0), above + cut.mean_blur
+
+
+def _share_of_cells(
+    residual: Residual, tolerance_mm: float, slack_mm: float
+) -> tuple[Floats, Floats]:
+    """Bounds of the share of each cell where the error is at most the tolerance.
+
+    The error is at least ``mean + slope s - bend - blur`` and at most
+    ``mean + slope s + bend + bulge + blur``; both cut the cell along planes.
+    """
+    cut = _cut(residual)
+    reach = np.abs(cut.slope).sum(axis=1) + cut.bend
+    blur = cut.blur + slack_mm
+    bulge = _bulge(cut.mean - reach, cut.across_max)
+    room = tolerance_mm - cut.mean
+    below = _share_under_plane(cut.slope, room - cut.bend - bulge - blur, -1.0)
+    above = _share_under_plane(cut.slope, room + cut.bend + blur, 1.0)
+    good = residual.largest()[0] + slack_mm <= tolerance_mm
+    return np.where(good, 1.0, below), np.where(good, 1.0, above)
+
+
+def _bulge(along: Floats, across: Floats) -> Floats:
+    """``sqrt(t^2 + q) - t``, without cancellation for t > 0."""
+    root = np.sqrt(along**2 + across)
+    safe = np.maximum(root + along, np.finfo(float).tiny)
+    return np.where(along > 0, across / safe, root - along)
+
+
+def _share_under_plane(slope: Floats, room: Floats, side: float) -> Floats:
+    """Share of [-1, 1]^d where ``slope s <= room``, bounded from one side.
+
+    For k steep slopes a it is the inclusion-exclusion sum over the corners v of [0, 1]^k,
+    ``sum (-1)^|v| max(0, room + sum(a) - 2 a v)^k / (k! prod(2 a))``. Only the three steepest are
+    used, and none below a thousandth of the steepest, which keeps the sum accurate; what that
+    changes shifts the plane.
+
+    Args:
+        slope: Shape (cells, d).
+        room: Shape (cells,).
+        side: 1 for an upper bound, -1 for a lower bound.
+    """
+    size = np.sort(np.abs(slope), axis=1)[:, ::-1]
+    k = min(size.shape[1], 3)
+    floor = np.maximum(_FLAT * size[:, :1], 1e-12)
+    steep = np.maximum(size[:, :k], floor)
+    shift = (steep - size[:, :k]).sum(axis=1) + size[:, k:].sum(axis=1)
+    room = room + side * shift
+    total = steep.sum(axis=1)
+    at = 0.5 * (corners(k) + 1.0)
+    sign = np.where(at.sum(axis=1) % 2 == 0, 1.0, -1.0)
+    volume = np.maximum((room + total)[:, None] - 2.0 * steep @ at.T, 0.0) ** k @ sign
+    share = volume / (np.prod(2.0 * steep, axis=1) * float(np.prod(np.arange(1, k + 1))))
+    share = np.where(room >= total, 1.0, np.where(room <= -total, 0.0, share + side * _SHARE_SLACK))
+    return np.clip(share, 0.0, 1.0)

@@ -1,0 +1,29 @@
+"""The command line: a command for each step of the workflow, and for each question."""
+
+import sys
+
+import typer
+
+from iksamples.cli import ask, certify, steps
+from iksamples.cli.common import app
+from iksamples.errors import IksamplesError
+
+
+__all__ = ["app", "ask", "certify", "main", "steps"]
+
+
+def main() -> None:
+    """Entry point: an error meant for people ends with its message alone."""
+    try:
+        app()
+    except FileNotFoundError as error:
+        typer.echo(
+            f"Error: {error.filename or error}: there is no such file. Either the name is wrong, "
+            "or the study is not finished: run it to its end first.",
+            err=True,
+        )
+        sys.exit(2)
+    except IksamplesError as error:
+        for line in str(error).splitlines():
+            typer.echo(f"Error: {line}", err=True)
+        sys.exit(2)

@@ -1,0 +1,155 @@
+"""Commands for people: what a study will do, what it found, and which poses come next."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from iksamples.cli.common import (
+    Output,
+    Results,
+    StudyFile,
+    advise,
+    app,
+    open_study,
+    require_feasible,
+    whole_file,
+)
+
+
+class Strategy(StrEnum):
+    """How the next poses are chosen."""
+
+    DISAGREEMENT = "disagreement"
+    WORST = "worst"
+
+
+@app.command()
+def check(study_file: StudyFile) -> None:
+    """Validate a study file, and say what the arm can reach of its workspace."""
+    from iksamples.arm.workspace import reach
+    from iksamples.results import networks, sample_sets
+    from iksamples.samples.record import N_CORNERS, record_samples, region_points
+
+    study, chain = open_study(study_file)
+    require_feasible(study, chain)
+    typer.echo(
+        f"{study.name}: valid; digest {study.digest()}, joints {', '.join(chain.joint_names)}"
+    )
+    sets, all_recorded = sample_sets(study), []
+    for label, (design, m) in sets.items():
+        if design == "adaptive":
+            typer.echo(f"  {label}: {m**3} samples, chosen in training")
+            continue
+        recorded = record_samples(study, chain, design, m)
+        all_recorded.append(recorded)
+        masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
+        typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
+    points = region_points(study, chain, study.evaluation.cube_points)
+    left_out = study.evaluation.cube_points + N_CORNERS - len(points)
+    masked = f"; {left_out} more left out" if left_out else ""
+    typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()) + masked)
+    typer.echo(
+        f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}"
+    )
+    seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
+    trained = len(sets) * seeds
+    typer.echo(f"  {trained} networks to train")
+    advise(study, all_recorded)
+
+
+@app.command()
+def plan(
+    study_file: StudyFile,
+    cores: Annotated[int, typer.Option(min=1, help="As for snakemake.")] = 2,
+    results: Annotated[
+        Path | None,
+        typer.Option(help="Where trained seeds are looked for; by default results/<study>."),
+    ] = None,
+) -> None:
+    """Say what a study would take: networks to train, time, memory. Nothing is run."""
+    from iksamples.plan import plan_study, plan_text
+    from iksamples.results import sample_sets
+    from iksamples.samples.record import record_samples
+    from iksamples.training.step import trained_before
+
+    study, chain = open_study(study_file)
+    require_feasible(study, chain)
+    sets = [
+        record_samples(study, chain, design, m)
+        for design, m in sample_sets(study).values()
+        if design != "adaptive"
+    ]
+    cache = (results or Path("results") / study.name) / "cache"
+    cached = trained_before(study, sets, cache) if cache.is_dir() else {}
+    typer.echo(plan_text(study, plan_study(study, cached), cores))
+    advise(study, sets)
+
+
+@app.command()
+def recommend(results: Results) -> None:
+    """Print the answer of a finished study: how many samples, by which method, how sure."""
+    from iksamples.answer.answer import recommend as advise
+    from iksamples.answer.calibration import read_calibrations
+
+    typer.echo(advise(results))
+    for one in read_calibrations(results):
+        typer.echo(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
+
+
+@app.command("next")
+def next_(
+    study_file: StudyFile,
+    samples_file: Annotated[
+        Path,
+        typer.Option(
+            "--samples",
+            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad.",
+        ),
+    ],
+    output: Output,
+    count: Annotated[int, typer.Option("--count", "-k", min=1, help="How many poses.")] = 10,
+    strategy: Annotated[
+        Strategy,
+        typer.Option(help="Where trained seeds disagree most, or where they are worst."),
+    ] = Strategy.DISAGREEMENT,
+    weights: Annotated[
+        Path | None, typer.Option(help="Networks trained on these samples; by default, train now.")
+    ] = None,
+) -> None:
+    """Propose the next poses to record on the arm, inside its limits, as CSV.
+
+    Beside each pose: how far apart the trained seeds send the arm there, and the largest error of
+    a seed (disagreement_mm, error_mm), both by the arm's model.
+    """
+    from iksamples.answer.next_poses import next_poses
+    from iksamples.samples.measured import read_samples
+
+    study, chain = open_study(study_file)
+    samples = read_samples(study, chain, samples_file)
+    poses = next_poses(study, chain, samples, count, strategy.value, weights, progress=True)
+    with whole_file(output) as file:
+        poses.round(4).to_csv(file, index=False)
+    typer.echo(f"{len(poses)} poses written to {output}")
+
+
+@app.command()
+def handbook(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")] = Path(
+        "config"
+    ),
+) -> None:
+    """Write README.md and schema.json: every setting of a study file, every column of its table."""
+    from iksamples.handbook import schema, settings_page
+
+    for name, text in (("README.md", settings_page()), ("schema.json", schema())):
+        with whole_file(output / name) as file:
+            file.write_text(text, encoding="utf-8")
+
+
+def _in_words(summary: dict[str, int]) -> str:
+    rest = [
+        f"{n} {kind.replace('_', ' ')}" for kind, n in summary.items() if n and kind != "points"
+    ]
+    return f"{summary['points']} points: " + ", ".join(rest)

@@ -1,0 +1,118 @@
+"""What the commands share: the application, its options, and opening and writing files."""
+
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from iksamples.errors import IksamplesError
+
+
+if TYPE_CHECKING:
+    from iksamples.arm.chain import SerialChain
+    from iksamples.samples.dataset import SampleSet
+    from iksamples.study import Design, Study
+
+
+app = typer.Typer(
+    help="How many samples does a learned inverse kinematics need?\n\n"
+    "The whole study runs with `snakemake --cores 2`; these are its steps, in their order.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # which would take [mm] for markup
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+StudyFile = Annotated[
+    Path, typer.Argument(metavar="STUDY", help="Study file (YAML, or the study.json of a run).")
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
+Results = Annotated[
+    Path,
+    typer.Option(
+        "--results", help="Results folder of the study, such as results/paper.", file_okay=False
+    ),
+]
+
+
+SamplesFiles = Annotated[
+    list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file each.")
+]
+MethodName = Annotated[str, typer.Option(help="Which of the study's methods.")]
+MethodFolder = Annotated[
+    Path,
+    typer.Option(
+        "--folder", help="Folder of the method, with a folder for each set of samples in it."
+    ),
+]
+
+
+def record_one(study: "Study", chain: "SerialChain", design: "Design", m: int) -> "SampleSet":
+    """Samples of a design; the adaptive one trains networks to choose them."""
+    if design == "adaptive":
+        from iksamples.answer.adaptive import adaptive_sets
+
+        return adaptive_sets(study, chain, [m])[m]
+    from iksamples.samples.record import record_samples
+
+    return record_samples(study, chain, design, m)
+
+
+def load_samples(files: list[Path]) -> "list[SampleSet]":
+    """The sets of samples in files."""
+    from iksamples.samples.dataset import SampleSet
+
+    return [SampleSet.load(file) for file in files]
+
+
+def open_study(study_file: Path) -> "tuple[Study, SerialChain]":
+    """A study and its arm."""
+    from iksamples.arm.workspace import study_chain
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    return study, study_chain(study)
+
+
+def advise(study: "Study", sets: "list[SampleSet]") -> None:
+    """Says what may surprise the author of a study."""
+    from iksamples.advice import advice
+
+    for line in advice(study, sets):
+        typer.echo(f"Note: {line}", err=True)
+
+
+def require_one_of(known: Iterable[str], name: str, what: str) -> None:
+    """Stops at a name that is not known."""
+    if name not in known:
+        raise IksamplesError(f"{what} '{name}'; there are {', '.join(known)}.")
+
+
+def require_feasible(study: "Study", chain: "SerialChain") -> None:
+    """What a job for one set of samples cannot see of the rest, before anything is trained."""
+    from iksamples.evaluation.paths import require_reachable
+    from iksamples.samples.record import require_workspace
+
+    require_workspace(study, chain)
+    require_reachable(study, chain)
+
+
+def rounded_up(bound_mm: float) -> str:
+    """An upper bound in four decimals, rounded up."""
+    return f"{math.ceil(bound_mm * 1e4) / 1e4:.4f}"
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Gives a temporary name beside a file, and the file's own name once all is written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        yield unfinished
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)

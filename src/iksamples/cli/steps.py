@@ -1,0 +1,241 @@
+"""One command per step of the workflow, each usable by hand on files."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from iksamples.cli.common import (
+    MethodFolder,
+    MethodName,
+    Output,
+    Results,
+    SamplesFiles,
+    StudyFile,
+    app,
+    load_samples,
+    open_study,
+    record_one,
+    require_feasible,
+    require_one_of,
+    whole_file,
+)
+from iksamples.errors import IksamplesError
+
+
+@app.command()
+def samples(
+    study_file: StudyFile,
+    name: Annotated[str, typer.Option(help="Which set of samples, such as grid5 or sobol125.")],
+    output: Output,
+) -> None:
+    """Record one set of samples: positions and the joint angles that reach them."""
+    from iksamples.results import sample_sets
+
+    study, chain = open_study(study_file)
+    require_feasible(study, chain)
+    sets = sample_sets(study)
+    require_one_of(sets, name, f"{study_file}: no samples")
+    with whole_file(output) as file:
+        record_one(study, chain, *sets[name]).save(file)
+
+
+@app.command()
+def train(
+    study_file: StudyFile,
+    samples_files: SamplesFiles,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder that gets <method>/<samples>/.")
+    ],
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Folder of trained seeds; a seed that is there is not trained again."),
+    ] = None,
+) -> None:
+    """Train all seeds of every network of the study on each set of samples."""
+    from iksamples.study import read_study
+    from iksamples.training.step import train_study
+
+    train_study(read_study(study_file), load_samples(samples_files), output, cache, progress=True)
+
+
+@app.command()
+def evaluate(
+    study_file: StudyFile, samples_files: SamplesFiles, method: MethodName, folder: MethodFolder
+) -> None:
+    """Send a method along the paths and over the workspace; measure through the FK."""
+    from iksamples.evaluation.step import evaluate as measure
+
+    study, chain = open_study(study_file)
+    require_one_of(study.all_methods, method, f"{study_file}: no method")
+    for samples in load_samples(samples_files):
+        cell = folder / samples.label
+        tables, why_not = measure(study, chain, samples, method, cell)
+        if why_not:
+            typer.echo(why_not, err=True)
+        for name, table in tables.items():
+            with whole_file(cell / f"{name}.parquet") as file:
+                table.to_parquet(file)
+
+
+@app.command()
+def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFolder) -> None:
+    """Compute the paper's bounds for trained networks, and how often each is exceeded."""
+    import pandas as pd
+
+    from iksamples.network import StackedMLP
+    from iksamples.paper.audit import audit
+
+    study, chain = open_study(study_file)
+    for samples in load_samples(samples_files):
+        cell = folder / samples.label
+        network = StackedMLP.load(cell / "weights.safetensors")
+        table = audit(study, chain, samples, network, pd.read_parquet(cell / "cube.parquet"))
+        with whole_file(cell / "bounds.parquet") as file:
+            table.to_parquet(file)
+
+
+@app.command()
+def prove(
+    study_file: StudyFile,
+    samples_files: SamplesFiles,
+    method: MethodName,
+    folder: MethodFolder,
+    output: Output,
+) -> None:
+    """Prove the worst and the mean error of a method over the workspace, network by network."""
+    import pandas as pd
+
+    from iksamples.certify.step import certify
+    from iksamples.results import certified
+
+    study, chain = open_study(study_file)
+    require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
+    rows = [
+        certify(study, chain, method, samples, folder / samples.label)
+        for samples in load_samples(samples_files)
+    ]
+    with whole_file(output) as file:
+        pd.concat(rows).to_csv(file, index=False)
+
+
+@app.command("map")
+def map_(study_file: StudyFile, results: Results) -> None:
+    """Prove where the shown networks miss the tolerance, and their worst case along training."""
+    from iksamples.certify.map_step import map_cell
+    from iksamples.results import cells
+
+    study, chain = open_study(study_file)
+    for cell in cells(study, results):
+        for name, rows in map_cell(study, chain, cell).items():
+            with whole_file(cell.folder / f"{name}.parquet") as file:
+                rows.to_parquet(file)
+
+
+@app.command()
+def table(study_file: StudyFile, results: Results) -> None:
+    """Aggregate over seeds: table.csv beside the paper's Table 1, and all certificates in one."""
+    import pandas as pd
+
+    from iksamples.paper.table import study_table
+    from iksamples.results import cells, certified
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    proofs = pd.concat(
+        [pd.read_csv(results / method / "certificates.csv") for method in certified(study)]
+    )
+    tables = {
+        "certificates.csv": proofs,
+        "table.csv": study_table(study, cells(study, results), proofs),
+    }
+    for name, rows in tables.items():
+        with whole_file(results / name) as file:
+            rows.to_csv(file, index=False)
+
+
+@app.command()
+def answer(study_file: StudyFile, results: Results) -> None:
+    """Answer how many samples each method needs: answer.json and samples-needed.csv."""
+    from iksamples.answer.finding import samples_needed
+    from iksamples.answer.outcomes import all_cells, certificates, outcomes
+    from iksamples.answer.size import answer_study
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    found = answer_study(study, results)
+    rows = outcomes(study, all_cells(study, results), certificates(results))
+    with whole_file(results / "samples-needed.csv") as file:
+        samples_needed(study, rows).to_csv(file, index=False)
+    with whole_file(results / "answer.json") as file:
+        file.write_text(found.to_json(), encoding="utf-8")
+
+
+@app.command()
+def calibrate(study_file: StudyFile, results: Results, output: Output) -> None:
+    """Train the answer's networks again with fresh seeds, and count how many meet the tolerance."""
+    from iksamples.answer.calibration import to_json
+    from iksamples.answer.fresh import calibrate_results
+
+    study, chain = open_study(study_file)
+    if not study.calibration.seeds:
+        raise IksamplesError(
+            f"{study_file}: calibration.seeds is 0; say how many fresh trainings, 200 for example."
+        )
+    found = calibrate_results(study, chain, results, progress=True)
+    with whole_file(output) as file:
+        file.write_text(to_json(found), encoding="utf-8")
+    for one in found:
+        typer.echo(f"{one.method}, {one.design}: {one.statement}")
+
+
+@app.command()
+def track(
+    study_file: StudyFile,
+    results: Results,
+    output: Annotated[Path, typer.Option("--output", "-o", help="What was logged (JSON).")],
+) -> None:
+    """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
+    from iksamples.results import cells
+    from iksamples.study import read_study
+    from iksamples.tracking.track import track as log_study
+
+    study = read_study(study_file)
+    with whole_file(output) as file:
+        log_study(study, cells(study, results), results / "table.csv", file)
+
+
+@app.command()
+def record(
+    study_file: StudyFile,
+    path: Annotated[str, typer.Option(help="Which of the study's paths.")],
+    results: Results,
+    output: Output,
+) -> None:
+    """Record the arm drawing one path, all grids in one file for the Rerun viewer."""
+    from iksamples.recording.record import record_path
+    from iksamples.results import cells
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    require_one_of(study.evaluation.paths, path, f"{study_file}: no path")
+    with whole_file(output) as file:
+        record_path(study, path, cells(study, results), file)
+
+
+@app.command()
+def report(
+    study_file: StudyFile,
+    results: Results,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
+    command: Annotated[
+        str, typer.Option(help="What the report says to type to run the study.")
+    ] = "snakemake --cores 2",
+) -> None:
+    """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
+    from iksamples.report.front import write_front_page
+    from iksamples.report.write import write_report
+    from iksamples.study import read_study
+
+    write_report(read_study(study_file), results, output, command)
+    write_front_page(output.parent, results.parent)

@@ -1,0 +1,1 @@
+"""What the paper alone claims: its equations, its Table 1, and whether they hold."""

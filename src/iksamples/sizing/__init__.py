@@ -1,1 +1,0 @@
-"""Sizing: what the errors and bounds say about how many samples are needed."""

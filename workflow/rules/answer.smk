@@ -1,0 +1,89 @@
+"""
+Sizing: one row per grid beside the paper's Table 1, and how many samples each method needs.
+
+REQUIRED INPUTS
+    results/<study>/<method>/<samples>/errors.parquet
+    results/<study>/network/<samples>/{members,bounds}.parquet
+    results/<study>/<method>/certificates.csv
+OUTPUTS
+    results/<study>/table.csv, certificates.csv
+    results/<study>/answer.json, samples-needed.csv
+    results/<study>/calibration.json, where the study asks for fresh trainings
+"""
+
+
+rule table:
+    """Aggregate over seeds."""
+    input:
+        cells=expand(
+            "results/{{study}}/network/{samples}/{table}.parquet",
+            samples=LABELS,
+            table=["members", "errors", "bounds"],
+        ),
+        certificates=expand(
+            "results/{{study}}/{method}/certificates.csv", method=certified(STUDY)
+        ),
+    output:
+        "results/{study}/table.csv",
+        "results/{study}/certificates.csv",
+    log:
+        "results/{study}/logs/table.log",
+    benchmark:
+        "results/{study}/benchmarks/table.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings("samples", "evaluation", "bounds"),
+        code=source_digest("iksamples.paper.table"),
+        results="results/{study}",
+    shell:
+        "iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+
+
+rule answer:
+    """How many samples, by which method, and how sure."""
+    input:
+        errors=expand(
+            "results/{{study}}/{method}/{samples}/errors.parquet",
+            method=STUDY.all_methods,
+            samples=LABELS,
+        ),
+        certificates="results/{study}/certificates.csv",
+    output:
+        "results/{study}/answer.json",
+        "results/{study}/samples-needed.csv",
+    log:
+        "results/{study}/logs/answer.log",
+    benchmark:
+        "results/{study}/benchmarks/answer.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=settings(
+            "samples", "tolerance", "evaluation", "methods", "training", "network"
+        ),
+        code=source_digest("iksamples.answer.size"),
+        results="results/{study}",
+    shell:
+        "iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+
+
+rule calibrate:
+    """The answer's networks again, with seeds it has not seen."""
+    input:
+        answer="results/{study}/answer.json",
+    output:
+        "results/{study}/calibration.json",
+    log:
+        "results/{study}/logs/calibrate.log",
+    benchmark:
+        "results/{study}/benchmarks/calibrate.jsonl"
+    threads: 2
+    params:
+        study="results/{study}/study.json",
+        settings=settings(
+            "robot", "workspace", "training", "evaluation", "bounds", "calibration"
+        ),
+        code=source_digest("iksamples.answer.fresh"),
+        results="results/{study}",
+    shell:
+        "iksamples calibrate {params.study:q} --results {params.results:q} --output {output:q}"
+        " 2> >(tee {log:q} >&2)"
