@@ -1,0 +1,52 @@
+"""The study file: one typed, validated description of everything a study does.
+
+Every field has a description, a unit where it has one, a range and a default, and the defaults are
+the paper's study. ``config/schema.json`` and the table in ``config/README.md`` are generated from
+here (``iksamples handbook``).
+"""
+
+from iksamples.study.evaluation import (
+    Bounds,
+    Calibration,
+    DoubleRectangle,
+    Evaluation,
+    Heart,
+    Path3D,
+    Tolerance,
+)
+from iksamples.study.reading import parse_study, read_study
+from iksamples.study.robot import Robot, Workspace
+from iksamples.study.samples import DRAWN, Design, Samples
+from iksamples.study.section import Limits, Section, Vector3
+from iksamples.study.study import NETWORK, Study, Tracking
+from iksamples.study.training import EarlyStopping, HeldOut, Method, MethodKind, Network, Training
+
+
+__all__ = [
+    "DRAWN",
+    "NETWORK",
+    "Bounds",
+    "Calibration",
+    "Design",
+    "DoubleRectangle",
+    "EarlyStopping",
+    "Evaluation",
+    "Heart",
+    "HeldOut",
+    "Limits",
+    "Method",
+    "MethodKind",
+    "Network",
+    "Path3D",
+    "Robot",
+    "Samples",
+    "Section",
+    "Study",
+    "Tolerance",
+    "Tracking",
+    "Training",
+    "Vector3",
+    "Workspace",
+    "parse_study",
+    "read_study",
+]

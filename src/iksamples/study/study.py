@@ -1,0 +1,147 @@
+"""The whole study, and the rules between its sections."""
+
+import hashlib
+import json
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from iksamples.study.evaluation import Bounds, Calibration, Evaluation, Tolerance
+from iksamples.study.robot import Robot, Workspace
+from iksamples.study.samples import Samples
+from iksamples.study.section import Section
+from iksamples.study.training import Method, Network, Training
+
+
+NETWORK = "network"
+"""Name of the method that a study's own ``network`` and ``training`` sections describe."""
+
+
+class Tracking(Section):
+    """Where MLflow keeps the runs."""
+
+    uri: str | None = Field(
+        None,
+        description="Tracking URI; null: MLFLOW_TRACKING_URI, else sqlite:///mlflow.db here.",
+    )
+
+
+class Study(Section):
+    """A study: one arm, one workspace, several sample sizes, many seeds."""
+
+    name: str = Field(
+        pattern=r"^[a-z0-9][a-z0-9_-]*$",
+        max_length=60,
+        description="Name of the study's folders under results/ and reports/.",
+    )
+    title: str = Field("", description="One line for the head of the report.")
+    robot: Robot = Robot()
+    workspace: Workspace = Workspace()
+    samples: Samples = Samples()
+    network: Network = Network()
+    training: Training = Training()
+    methods: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")], Method] = Field(
+        {}, description="Further methods to compare on the same samples, by name."
+    )
+    evaluation: Evaluation = Evaluation()
+    bounds: Bounds = Bounds()
+    tolerance: Tolerance = Tolerance()
+    calibration: Calibration = Calibration()
+    tracking: Tracking = Tracking()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _methods_inherit(cls, data: Any) -> Any:
+        """A method says only what differs from the study's own network and training."""
+        methods = data.get("methods") if isinstance(data, dict) else None
+        if not isinstance(methods, dict):
+            return data
+        own = {key: data[key] for key in ("network", "training") if key in data}
+        full = {name: _own_budget(_overlay(own, one), one) for name, one in methods.items()}
+        return {**data, "methods": full}
+
+    @model_validator(mode="after")
+    def _names_exist(self) -> "Study":
+        if NETWORK in self.methods:
+            raise ValueError(
+                f"methods: '{NETWORK}' is the study's own network; choose another name"
+            )
+        for name in ("workspace", "cube"):
+            if name in self.evaluation.paths:
+                raise ValueError(
+                    f"evaluation.paths: '{name}' means the whole workspace; choose another name"
+                )
+        places = ("workspace", *self.evaluation.paths)
+        if self.tolerance.where not in places:
+            raise ValueError(f"'tolerance.where' should be one of {', '.join(places)}")
+        return self
+
+    @model_validator(mode="after")
+    def _held_out_points_exist(self) -> "Study":
+        fewest = min(self.samples.points_per_axis) ** 3
+        for name, method in self.all_methods.items():
+            if method.kind != "network":
+                continue
+            where = "training" if name == NETWORK else f"methods.{name}.training"
+            held_out = method.training.held_out
+            if held_out.source == "fresh" and held_out != self.training.held_out:
+                raise ValueError(
+                    f"'{where}.held_out': fresh points are recorded once for all methods; set them "
+                    "under 'training.held_out', or say 'source: grid' here"
+                )
+            lost = held_out.counts(fewest)[0]
+            if method.training.early_stopping and held_out.source == "grid" and not lost:
+                raise ValueError(
+                    f"'{where}.early_stopping' has nothing to watch: validation_share "
+                    f"{held_out.validation_share:g} of {fewest} samples is no sample; raise it, "
+                    "leave out that size, or say 'held_out.source: fresh'"
+                )
+        return self
+
+    @property
+    def all_methods(self) -> dict[str, Method]:
+        """Every method by name; the first, ``network``, is the study's own."""
+        own = Method(kind="network", network=self.network, training=self.training)
+        return {NETWORK: own, **self.methods}
+
+    def for_method(self, name: str, n_samples: int) -> "Study":
+        """The study as if a method's network and training were its own.
+
+        Args:
+            name: The method.
+            n_samples: Samples that train; a budget in steps is turned into epochs by it.
+        """
+        method = self.all_methods[name]
+        training = method.training
+        if training.steps:
+            epochs = -(-training.steps // training.steps_per_epoch(n_samples))
+            training = training.model_copy(update={"steps": None, "epochs": epochs})
+        return self.model_copy(update={"network": method.network, "training": training})
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seed of every network."""
+        return tuple(
+            range(self.training.first_seed, self.training.first_seed + self.training.seeds)
+        )
+
+    def digest(self) -> str:
+        """Twelve hexadecimal digits that name the settings that numbers depend on."""
+        apart = {"title", "tracking", "calibration"}
+        text = json.dumps(self.model_dump(mode="json", exclude=apart), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _overlay(base: Any, change: Any) -> Any:
+    """Settings with some of them replaced, section by section."""
+    if not isinstance(base, dict) or not isinstance(change, dict):
+        return change
+    return {**base, **{key: _overlay(base.get(key), value) for key, value in change.items()}}
+
+
+def _own_budget(method: Any, change: Any) -> Any:
+    """A method that says how many epochs does not inherit a number of steps."""
+    said = change.get("training") if isinstance(change, dict) else None
+    if isinstance(said, dict) and "epochs" in said and "steps" not in said:
+        return {**method, "training": {**method["training"], "steps": None}}
+    return method
