@@ -1,12 +1,11 @@
-"""Forward kinematics of a serial chain: position of the tool centre point and its Jacobian.
+"""Forward kinematics of a serial chain: pose of the tool and its Jacobians.
 
 The chain is kept in product-of-exponentials form (Lynch and Park, *Modern Robotics*, ch. 4): for
 each joint the unit axis and a point on it, both in the base frame with all joints at zero, and the
-position of the tool centre point there. Nothing else of a URDF or a DH table matters for where the
-tool goes.
+pose of the tool there. Nothing else of a URDF or a DH table matters for where the tool goes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +17,7 @@ from iksamples.errors import IksamplesError
 
 Floats = NDArray[np.float64]
 JointKind = Literal["revolute", "prismatic"]
+Unit = Literal["mm", "rad"]
 
 MM_PER_M = 1000.0
 
@@ -36,6 +36,7 @@ class SerialChain:
         tip_mm: Tool centre point in the base frame at zero [mm], shape (3,).
         lower: Lower joint limits [rad or mm], shape (joints,).
         upper: Upper joint limits [rad or mm], shape (joints,).
+        tip_rotation: The tool's axes as columns in the base frame at zero, shape (3, 3).
     """
 
     joint_names: tuple[str, ...]
@@ -45,11 +46,17 @@ class SerialChain:
     tip_mm: Floats
     lower: Floats
     upper: Floats
+    tip_rotation: Floats = field(default_factory=lambda: np.eye(3))
 
     @property
     def n_joints(self) -> int:
         """Number of moving joints."""
         return len(self.joint_names)
+
+    @property
+    def joint_units(self) -> tuple[Unit, ...]:
+        """Unit of each joint's value: ``"rad"``, or ``"mm"`` where the joint is prismatic."""
+        return tuple("mm" if kind == "prismatic" else "rad" for kind in self.joint_kinds)
 
     def forward_mm(self, joints: ArrayLike) -> Floats:
         """Position of the tool centre point.
@@ -60,7 +67,43 @@ class SerialChain:
         Returns:
             Positions [mm], shape (..., 3).
         """
-        return self._carry(np.asarray(joints, float), self.tip_mm, self.n_joints)
+        # Of the whole pose's work (`_frames`) less than half, and asked for millions of points.
+        q = self._checked(joints)
+        moved = np.broadcast_to(self.tip_mm, (*q.shape[:-1], 3))
+        for i in reversed(range(self.n_joints)):
+            value = q[..., i, None]
+            if self.joint_kinds[i] == "prismatic":
+                moved = moved + value * self.axes[i]
+                continue
+            arm = moved - self.points_mm[i]
+            axis = self.axes[i]
+            # Rodrigues' rotation formula.
+            moved = (
+                self.points_mm[i]
+                + np.cos(value) * arm
+                + np.sin(value) * np.cross(axis, arm)
+                + (1 - np.cos(value)) * (arm @ axis)[..., None] * axis
+            )
+        return np.array(moved)
+
+    def rotation(self, joints: ArrayLike) -> Floats:
+        """Rotation of the tool: its axes as columns in the base frame.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+
+        Returns:
+            Rotation matrices, shape (..., 3, 3).
+        """
+        return self._frames(joints)[3]
+
+    def pose(self, joints: ArrayLike) -> tuple[Floats, Floats]:
+        """Position [mm], shape (..., 3), and rotation, shape (..., 3, 3), of the tool.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+        """
+        return self._frames(joints)[2:]
 
     def skeleton_mm(self, joints: ArrayLike) -> Floats:
         """Where the joints and the tip are, to draw the arm as a line.
@@ -72,9 +115,8 @@ class SerialChain:
             A point on every joint's axis and, last, the tool centre point [mm],
             shape (..., joints + 1, 3).
         """
-        q = np.asarray(joints, float)
-        knots = [self._carry(q, self.points_mm[i], i) for i in range(self.n_joints)]
-        return np.stack([*knots, self.forward_mm(q)], axis=-2)
+        _, origins, tip, _ = self._frames(joints)
+        return np.concatenate([origins, tip[..., None, :]], axis=-2)
 
     def jacobian_mm(self, joints: ArrayLike) -> Floats:
         """Geometric Jacobian of the tool centre point's position.
@@ -86,17 +128,24 @@ class SerialChain:
             ``J[..., k, i] = d position_k / d joint_i`` [mm/rad, or 1 where the joint is prismatic],
             shape (..., 3, joints).
         """
-        q = np.asarray(joints, float)
-        tip = self.forward_mm(q)
-        columns = []
-        for i in range(self.n_joints):
-            origin = self._carry(q, self.points_mm[i], i)
-            # A direction is carried like the difference of two points.
-            axis = self._carry(q, self.points_mm[i] + self.axes[i], i) - origin
-            columns.append(
-                np.cross(axis, tip - origin) if self.joint_kinds[i] == "revolute" else axis
-            )
-        return np.stack(columns, axis=-1)
+        return self.jacobians(joints)[0]
+
+    def jacobians(self, joints: ArrayLike) -> tuple[Floats, Floats]:
+        """Geometric Jacobians of the tool's position and of its rotation.
+
+        Args:
+            joints: Joint values [rad or mm], shape (..., joints).
+
+        Returns:
+            The linear one as `jacobian_mm`, and the angular one: the tool's angular velocity in the
+            base frame per joint's speed [1, or 0 where the joint is prismatic], each of shape
+            (..., 3, joints).
+        """
+        axes, origins, tip, _ = self._frames(joints)
+        turns = (np.array(self.joint_kinds) == "revolute")[:, None]
+        linear = np.where(turns, np.cross(axes, tip[..., None, :] - origins), axes)
+        angular = np.where(turns, axes, 0.0)
+        return np.swapaxes(linear, -1, -2), np.swapaxes(angular, -1, -2)
 
     def within_limits(self, joints: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each joint vector lies inside the joint limits.
@@ -129,36 +178,71 @@ class SerialChain:
                 )
             i = self.joint_names.index(name)
             lower[i], upper[i] = low, high
-        return SerialChain(
-            self.joint_names,
-            self.joint_kinds,
-            self.axes,
-            self.points_mm,
-            self.tip_mm,
-            lower,
-            upper,
-        )
+        return replace(self, lower=lower, upper=upper)
 
-    def _carry(self, q: Floats, point: Floats, n: int) -> Floats:
-        """Moves a point that is fixed behind joint ``n - 1`` by the joints before it."""
+    def with_tool(self, offset_mm: ArrayLike) -> "SerialChain":
+        """The same chain with the tool centre point moved.
+
+        Args:
+            offset_mm: From the present tool centre point, along the tool's axes [mm], shape (3,).
+        """
+        return replace(self, tip_mm=self.tip_mm + self.tip_rotation @ np.asarray(offset_mm, float))
+
+    def _checked(self, joints: ArrayLike) -> Floats:
+        q = np.asarray(joints, float)
         if q.shape[-1:] != (self.n_joints,):
             raise ValueError(f"expected {self.n_joints} joint values last, got shape {q.shape}")
-        moved = np.broadcast_to(point, (*q.shape[:-1], 3))
-        for i in reversed(range(n)):
-            value = q[..., i, None]
+        return q
+
+    def _frames(self, joints: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+        """Every joint's axis and point, (..., joints, 3), and the tool's position and rotation."""
+        q = self._checked(joints)
+        rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
+        shift = np.zeros((*q.shape[:-1], 3))
+        axes, origins = [], []
+        for i in range(self.n_joints):
+            axes.append(rotation @ self.axes[i])
+            origins.append(rotation @ self.points_mm[i] + shift)
             if self.joint_kinds[i] == "prismatic":
-                moved = moved + value * self.axes[i]
+                shift = shift + q[..., i, None] * axes[i]
                 continue
-            arm = moved - self.points_mm[i]
-            axis = self.axes[i]
-            # Rodrigues' rotation formula.
-            moved = (
-                self.points_mm[i]
-                + np.cos(value) * arm
-                + np.sin(value) * np.cross(axis, arm)
-                + (1 - np.cos(value)) * (arm @ axis)[..., None] * axis
+            x, y, z = self.axes[i]
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            value = q[..., i, None, None]
+            rotation = (
+                rotation
+                + np.sin(value) * (rotation @ cross)
+                + (1 - np.cos(value)) * (rotation @ (cross @ cross))
             )
-        return np.array(moved)
+            shift = origins[i] - rotation @ self.points_mm[i]
+        return (
+            np.stack(axes, axis=-2),
+            np.stack(origins, axis=-2),
+            rotation @ self.tip_mm + shift,
+            rotation @ self.tip_rotation,
+        )
+
+
+def roll_pitch_yaw(angles: ArrayLike) -> Floats:
+    """Rotation ``Rz(yaw) Ry(pitch) Rx(roll)``.
+
+    Args:
+        angles: Roll, pitch and yaw [rad], shape (..., 3).
+
+    Returns:
+        Rotation matrices, shape (..., 3, 3).
+    """
+    angles = np.asarray(angles, float)
+    (cr, cp, cy), (sr, sp, sy) = (
+        np.moveaxis(np.cos(angles), -1, 0),
+        np.moveaxis(np.sin(angles), -1, 0),
+    )
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def load_urdf(
@@ -252,6 +336,7 @@ def load_urdf(
         frame[:3, 3] * MM_PER_M,
         np.array(lower),
         np.array(upper),
+        frame[:3, :3],
     )
 
 
@@ -260,12 +345,6 @@ def _transform(origin: object) -> Floats:
     matrix = np.eye(4)
     if origin is None:
         return matrix
-    roll, pitch, yaw = getattr(origin, "rpy", None) or (0.0, 0.0, 0.0)
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
-    matrix[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    matrix[:3, :3] = roll_pitch_yaw(getattr(origin, "rpy", None) or (0.0, 0.0, 0.0))
     matrix[:3, 3] = getattr(origin, "xyz", None) or (0.0, 0.0, 0.0)
     return matrix
