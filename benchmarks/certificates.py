@@ -21,6 +21,7 @@ from iksamples.arm.chain import SerialChain, load_urdf
 from iksamples.certify.checker import verify
 from iksamples.certify.search import certify_sup
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Z, Y = (0, 0, 1), (0, 1, 0)
@@ -160,7 +161,7 @@ def cost(title: str, cases: list[Case], rtol: float) -> None:
         times = []
         for _ in range(5 if len(lower) == 3 else 1):
             began = time.perf_counter()
-            found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol)
+            found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol)
             times.append(time.perf_counter() - began)
         seconds.append(1e3 * np.median(times))
         boxes.append(found.boxes)
@@ -196,7 +197,7 @@ def dense(cases: list[Case], n: int = 10**7) -> None:
     rng = np.random.default_rng(0)
     above, parts = 0, []
     for chain, stack, lower, upper in cases:
-        found = certify_sup(stack, 0, chain, lower, upper)
+        found = certify_sup(stack, 0, chain, Region.box(lower, upper))
         largest = 0.0
         for _ in range(n // 50_000):
             errors = plain_errors(stack, rng.uniform(lower, upper, (50_000, 3)))
@@ -214,7 +215,7 @@ def checked(cases: list[Case], rtol: float) -> None:
     """Has the checker prove certificates again, with every rounding counted."""
     seconds, apart, leaves, proved = [], [], [], 0
     for chain, stack, lower, upper in cases:
-        found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol, keep_leaves=True)
+        found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol, keep_leaves=True)
         began = time.perf_counter()
         result = verify(found, stack, 0, chain)
         seconds.append(time.perf_counter() - began)
@@ -281,7 +282,7 @@ def agreement(cases: list[Case], rtol: float = 0.05) -> None:
     both, seconds, mine, ratios = 0, [], [], []
     for chain, stack, lower, upper in cases:
         began = time.perf_counter()
-        found = certify_sup(stack, 0, chain, lower, upper, rtol=rtol)
+        found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol)
         mine.append(time.perf_counter() - began)
         bounds, largest, settled = lirpa_bounds(stack), 0.0, 0.0
         began = time.perf_counter()

@@ -27,9 +27,10 @@ from iksamples.certify.jets import Linkage
 from iksamples.certify.residual import Comparison
 from iksamples.certify.rounding import inference_slack_mm
 from iksamples.certify.search import Leaves, certify_sup
-from iksamples.certify.tiling import tiles_unit_box
+from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
@@ -141,7 +142,9 @@ def test_what_the_search_finds_is_proved(rng, kinds, d, hidden, activation):
     stack = random_network(
         rng, (d, *hidden, len(kinds)), activation, spread=0.6, lower=lower, upper=upper
     )
-    certificate = certify_sup(stack, 0, chain, lower, upper, rtol=0.01, keep_leaves=True)
+    certificate = certify_sup(
+        stack, 0, chain, Region.box(lower, upper), rtol=0.01, keep_leaves=True
+    )
     checked = verify(certificate, stack, 0, chain)
     assert certificate.complete
     assert checked.verified
@@ -161,7 +164,7 @@ def test_axes_that_are_only_nearly_parallel_are_counted(rng):
         (210, 0, 0),
     )  # fmt: skip
     stack = random_network(rng, (2, 8, 3), "tanh", lower=(50, 50), upper=(90, 90))
-    certificate = certify_sup(stack, 0, chain, (50, 50), (90, 90), keep_leaves=True)
+    certificate = certify_sup(stack, 0, chain, Region.box((50, 50), (90, 90)), keep_leaves=True)
     checked = verify(certificate, stack, 0, chain)
     # Wider than the search's bound, whose axes count as three runs, never tighter than the truth.
     assert checked.upper_mm >= certificate.lower_mm
@@ -213,7 +216,7 @@ def test_cancellation_in_the_network_is_counted():
             (first[None], second[None]), (bias[None], np.zeros((1, 1), np.float32)), "relu",
             np.zeros(1), np.ones(1), (0,),
         )  # fmt: skip
-        certificate = certify_sup(stack, 0, slide, [0.0], [1.0], keep_leaves=True)
+        certificate = certify_sup(stack, 0, slide, Region.box([0.0], [1.0]), keep_leaves=True)
 
         def error(x, first=first, bias=bias, second=second):
             hidden = [
@@ -232,7 +235,7 @@ def test_cancellation_in_the_network_is_counted():
 def certified(rng, activation="relu"):
     chain = planar([40.0, 30.0])
     stack = random_network(rng, (2, 8, 2), activation, n=2, lower=(20, 20), upper=(50, 50))
-    certificate = certify_sup(stack, 0, chain, (20, 20), (50, 50), keep_leaves=True)
+    certificate = certify_sup(stack, 0, chain, Region.box((20, 20), (50, 50)), keep_leaves=True)
     return chain, stack, certificate
 
 
@@ -250,19 +253,22 @@ def test_forged_certificates_are_refused(rng):
     assert verify(replace(beside, argmax_mm=honest.argmax_mm), stack, 0, chain).verified
     assert not verify(beside, stack, 0, chain).verified
     worst = int(leaves.bound.argmax())
-    holed = Leaves(*(np.delete(v, worst, 0) for v in (leaves.lower, leaves.upper, leaves.bound)))
+    parts = leaves.part, leaves.lower, leaves.upper, leaves.bound
+    holed = Leaves(*(np.delete(v, worst, 0) for v in parts))
     checked = verify(replace(honest, leaves=holed), stack, 0, chain)
     assert not checked.tiles
     assert checked.upper_mm == np.inf
-    doubled = Leaves(
-        *(np.concatenate([v, v[:1]]) for v in (leaves.lower, leaves.upper, leaves.bound))
-    )
+    doubled = Leaves(*(np.concatenate([v, v[:1]]) for v in parts))
     assert not verify(replace(honest, leaves=doubled), stack, 0, chain).tiles
     longer = planar([40.0, 30.5])
     assert not verify(honest, stack, 0, longer).verified
     assert not verify(honest, stack, 1, chain).verified
     with pytest.raises(IksamplesError, match="keep_leaves"):
         verify(replace(honest, leaves=None), stack, 0, chain)
+
+
+def tiles_unit_box(lower, upper):
+    return tiles(np.zeros(len(lower), int), lower, upper, (1, lower.shape[1]))
 
 
 def test_tilings_that_are_none():
@@ -312,7 +318,7 @@ def test_the_worst_position_is_inside_the_box_to_the_last_place(rng):
     gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
     stack = linear_network(np.zeros((3, 3)), (0, 0, 0))
     for lower, upper in zip(rng.uniform(-1, 1, (30, 3)), rng.uniform(2, 3, (30, 3)), strict=True):
-        certificate = certify_sup(stack, 0, gantry, lower, upper, keep_leaves=True)
+        certificate = certify_sup(stack, 0, gantry, Region.box(lower, upper), keep_leaves=True)
         np.testing.assert_array_equal(certificate.argmax_mm, upper)
         assert verify(certificate, stack, 0, gantry).verified
 
@@ -322,7 +328,9 @@ def test_the_lower_bound_is_rounded_down():
     gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
     for bias in ((3, 5, 7), (2, 5, 9), (4, 6, 7), (3, 3, 5), (2, 2, 3)):
         stack = linear_network(np.zeros((3, 3)), bias)
-        certificate = certify_sup(stack, 0, gantry, (0, 0, 0), (1, 1, 1), keep_leaves=True)
+        certificate = certify_sup(
+            stack, 0, gantry, Region.box((0, 0, 0), (1, 1, 1)), keep_leaves=True
+        )
         np.testing.assert_array_equal(certificate.argmax_mm, 0)
         checked = verify(certificate, stack, 0, gantry)
         square = sum(b * b for b in bias)
@@ -335,7 +343,7 @@ def test_compared_coordinates_may_be_chosen(rng):
     stack = random_network(rng, (3, 6, 2), "relu", lower=(20, 0, 10), upper=(40, 1, 30))
     compare = Comparison((0, 2), (0, 2))
     certificate = certify_sup(
-        stack, 0, chain, (20, 0, 10), (40, 1, 30), keep_leaves=True, compare=compare
+        stack, 0, chain, Region.box((20, 0, 10), (40, 1, 30)), keep_leaves=True, compare=compare
     )
     assert verify(certificate, stack, 0, chain).verified
     points = points_in(rng, (20, 0, 10), (40, 1, 30), 5000)
@@ -344,7 +352,11 @@ def test_compared_coordinates_may_be_chosen(rng):
     for coordinates, inputs in (((0, 3), (0, 1)), ((0,), (0, 1)), ((0, 1), (0, 3)), ((), ())):
         with pytest.raises(IksamplesError, match="compare"):
             certify_sup(
-                stack, 0, chain, (20, 0, 10), (40, 1, 30), compare=Comparison(coordinates, inputs)
+                stack,
+                0,
+                chain,
+                Region.box((20, 0, 10), (40, 1, 30)),
+                compare=Comparison(coordinates, inputs),
             )
 
 
@@ -364,7 +376,7 @@ def test_single_precision_stays_within_its_slack(rng, activation):
         plain_tip(chain, hidden.astype(float)) - plain_tip(chain, plain_answer(stack, 0, points)),
         axis=1,
     )
-    [slack] = inference_slack_mm(stack, chain, LOWER, UPPER)
+    [slack] = inference_slack_mm(stack, chain, Region.box(LOWER, UPPER))
     assert 0 < apart.max() <= slack < 1.0
 
 
@@ -381,7 +393,7 @@ def test_single_precision_adds_up_over_many_layers(rng):
         hidden = hidden @ weight[0]
     assert hidden.dtype == np.float32
     apart = np.abs(hidden - plain_answer(stack, 0, points)).max()
-    [slack] = inference_slack_mm(stack, slide, [1.0], [2.0])
+    [slack] = inference_slack_mm(stack, slide, Region.box([1.0], [2.0]))
     assert slack / 200 < apart <= slack
 
 
@@ -389,7 +401,9 @@ def test_a_linear_answer_needs_no_leaves_but_the_first(rng):
     """Nothing is lost on a gantry, so the first boxes prove the bound exactly."""
     gantry = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
     stack = linear_network([[1.1, 0, 0], [0, 0.9, 0.1], [0, 0, 1]], [1, 2, 3])
-    certificate = certify_sup(stack, 0, gantry, (0, 0, 0), (10, 10, 10), keep_leaves=True)
+    certificate = certify_sup(
+        stack, 0, gantry, Region.box((0, 0, 0), (10, 10, 10)), keep_leaves=True
+    )
     assert certificate.boxes == 64
     checked = verify(certificate, stack, 0, gantry)
     assert checked.upper_mm == pytest.approx(checked.lower_mm, rel=1e-12)

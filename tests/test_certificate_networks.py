@@ -11,12 +11,11 @@ from certificate_cases import (
     random_network,
 )
 
-from iksamples.certify.dynamic import certify_training, read_snapshots
 from iksamples.certify.external import _from_nodes, load_network
 from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.certify.search import Leaves, _climb, certify_stack, certify_sup
 from iksamples.errors import IksamplesError
-from iksamples.network import write_tensors
+from iksamples.region import Region
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
@@ -25,9 +24,9 @@ LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
 def test_a_stack_is_certified_like_its_networks(chain, rng, activation):
     stack = random_network(rng, (3, 9, 7, 3), activation, n=5, lower=LOWER, upper=UPPER)
-    together = certify_stack(stack, chain, LOWER, UPPER, keep_leaves=True)
+    together = certify_stack(stack, chain, Region.box(LOWER, UPPER), keep_leaves=True)
     for row, both in enumerate(together):
-        alone = certify_sup(stack, row, chain, LOWER, UPPER)
+        alone = certify_sup(stack, row, chain, Region.box(LOWER, UPPER))
         assert both.complete
         assert alone.complete
         assert both.lower_mm <= alone.upper_mm
@@ -45,7 +44,7 @@ def test_two_to_six_inputs(rng, kinds, d, activation):
     stack = random_network(
         rng, (d, 5, len(kinds)), activation, spread=0.4, lower=lower, upper=upper
     )
-    certificate = certify_sup(stack, 0, chain, lower, upper, rtol=0.05)
+    certificate = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=0.05)
     assert certificate.complete
     points = points_in(rng, lower, upper, 3000)
     k = min(d, 3)
@@ -62,11 +61,11 @@ def test_points_climb_but_never_leave_the_region(rng):
     lower, upper = np.full(6, -300.0), np.full(6, 300.0)
     stack = random_network(rng, (6, 4, 6), "relu", n=2, lower=lower, upper=upper)
     stack.weights[1][:] = 0
-    errors = ErrorOverBoxes(stack, chain, lower, upper)
+    errors = ErrorOverBoxes(stack, chain, Region.box(lower, upper))
     points, which = rng.uniform(lower, upper, (8, 6)), np.arange(8) % 2
     values = errors.values(which, points)
     before = values.copy()
-    _climb(errors, which, points, values)
+    _climb(errors, which, np.zeros(8, int), points, values)
     assert np.all((points >= lower) & (points <= upper))
     assert np.all(values >= before)
     np.testing.assert_array_equal(values, errors.values(which, points))
@@ -77,7 +76,9 @@ def test_points_climb_but_never_leave_the_region(rng):
 def test_no_time_is_still_a_bound(chain, rng):
     stack = random_network(rng, (3, 16, 16, 3), "relu", n=3, lower=LOWER, upper=UPPER)
     points = points_in(rng, LOWER, UPPER, 2000)
-    for row, cut in enumerate(certify_stack(stack, chain, LOWER, UPPER, time_limit_s=0.0)):
+    for row, cut in enumerate(
+        certify_stack(stack, chain, Region.box(LOWER, UPPER), time_limit_s=0.0)
+    ):
         errors = np.linalg.norm(plain_tip(chain, plain_answer(stack, row, points)) - points, axis=1)
         assert errors.max() <= cut.upper_mm < np.inf
         assert not cut.complete
@@ -85,55 +86,27 @@ def test_no_time_is_still_a_bound(chain, rng):
 
 def test_starts_that_do_not_tile_are_refused(chain, rng):
     stack = random_network(rng, (3, 4, 3), "relu", lower=LOWER, upper=UPPER)
-    half = Leaves(np.zeros((1, 3)), np.array([[1.0, 1.0, 0.5]]), np.zeros(1))
-    flat = Leaves(np.zeros((1, 2)), np.ones((1, 2)), np.zeros(1))
+    half = Leaves(np.zeros(1, int), np.zeros((1, 3)), np.array([[1.0, 1.0, 0.5]]), np.zeros(1))
+    flat = Leaves(np.zeros(1, int), np.zeros((1, 2)), np.ones((1, 2)), np.zeros(1))
     for start in (half, flat):
         with pytest.raises(IksamplesError, match="tile"):
-            certify_sup(stack, 0, chain, LOWER, UPPER, start=start)
+            certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), start=start)
 
 
 def test_networks_and_arms_that_do_not_fit(chain, rng):
     with pytest.raises(IksamplesError, match="joints"):
-        certify_sup(random_network(rng, (3, 4, 2), "relu"), 0, chain, LOWER, UPPER)
+        certify_sup(random_network(rng, (3, 4, 2), "relu"), 0, chain, Region.box(LOWER, UPPER))
     torn = random_network(rng, (3, 4, 3), "relu")
     torn = type(torn)(
         (torn.weights[0], torn.weights[1][:, :3]), torn.biases, "relu",
         torn.offset_mm, torn.scale_mm, torn.seeds,
     )  # fmt: skip
     with pytest.raises(IksamplesError, match="fit"):
-        certify_sup(torn, 0, chain, LOWER, UPPER)
+        certify_sup(torn, 0, chain, Region.box(LOWER, UPPER))
     whole = random_network(rng, (3, 4, 3), "relu")
     whole.scale_mm[1] = 0.0
     with pytest.raises(IksamplesError, match="normalisation"):
-        certify_sup(whole, 0, chain, LOWER, UPPER)
-
-
-def test_bounds_along_a_training(chain, rng, tmp_path):
-    epochs, seeds = np.array([0, 3, 10]), [4, 9]
-    tensors = {"epochs": epochs, "offset_mm": LOWER, "scale_mm": UPPER - LOWER}
-    for depth, (a, b) in enumerate([(3, 6), (6, 3)]):
-        tensors[f"layers.{depth}.weight"] = rng.normal(size=(3, 2, a, b)).astype(np.float32) / 2
-        tensors[f"layers.{depth}.bias"] = rng.normal(size=(3, 2, b)).astype(np.float32) / 2
-    tensors["layers.0.weight"][2, 1, 0, 0] = np.nan  # one seed diverges at the end
-    path = tmp_path / "snapshots.safetensors"
-    write_tensors(path, tensors, {"activation": "relu", "seeds": seeds})
-
-    stack, read = read_snapshots(path)
-    np.testing.assert_array_equal(read, epochs)
-    samples = points_in(rng, LOWER, UPPER, 20)
-    table = certify_training(stack, read, chain, samples, LOWER, UPPER)
-    assert table[["epoch", "seed"]].to_numpy().tolist() == [[0, 4], [0, 9], [3, 4], [3, 9], [10, 4]]
-    assert table["complete"].all()
-    assert (table["sup_upper_mm"] <= 1.02001 * table["sup_lower_mm"]).all()
-    assert (table["training_max_mm"] <= table["sup_upper_mm"]).all()
-    assert (table["training_mean_mm"] <= table["training_max_mm"]).all()
-    assert (table["lipschitz_upper"] <= 1.1001 * table["lipschitz_lower"]).all()
-    alone = certify_sup(stack.select([3]), 0, chain, LOWER, UPPER)  # epoch 3, seed 9
-    assert table["sup_lower_mm"][3] <= alone.upper_mm
-    assert alone.lower_mm <= table["sup_upper_mm"][3]
-    assert "lipschitz_upper" not in certify_training(
-        stack, read, chain, samples, LOWER, UPPER, lipschitz_rtol=None
-    )
+        certify_sup(whole, 0, chain, Region.box(LOWER, UPPER))
 
 
 def torch_model(activation):
@@ -290,7 +263,7 @@ def test_an_onnx_chain_is_read(tmp_path):
     arm = make_chain("PP", np.eye(3)[:2], np.zeros((2, 3)), (0, 0, 0))
     point = np.array([[5.0, 4.0]])
     np.testing.assert_allclose(network.predict(point)[0], [[6.0, 2.0]])
-    certificate = certify_sup(network, 0, arm, (3, 3), (6, 6))
+    certificate = certify_sup(network, 0, arm, Region.box((3, 3), (6, 6)))
     # Here the answer is (x + 1, y - 2), wrong by the same everywhere.
     assert certificate.lower_mm == pytest.approx(np.sqrt(5))
     assert certificate.upper_mm == pytest.approx(np.sqrt(5))

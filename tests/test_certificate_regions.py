@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 
 from iksamples.certify.enclosure import pairs
-from iksamples.certify.region import (
+from iksamples.certify.mean import (
     _mean_of_cells,
     _share_of_cells,
     _share_under_plane,
@@ -29,6 +29,7 @@ from iksamples.certify.region import (
 )
 from iksamples.certify.residual import Residual
 from iksamples.errors import IksamplesError
+from iksamples.region import Region
 
 
 GANTRY = make_chain("PPP", np.eye(3), np.zeros((3, 3)), (0, 0, 0))
@@ -47,7 +48,7 @@ def test_mean_distance_to_the_middle_of_a_cube():
     exact, _ = integrate.tplquad(
         lambda x, y, z: np.sqrt(x * x + y * y + z * z), 0, 0.5, 0, 0.5, 0, 0.5, epsabs=1e-8
     )
-    mean = certify_mean(STILL, 0, GANTRY, *CUBE, rtol=0.002)
+    mean = certify_mean(STILL, 0, GANTRY, Region.box(*CUBE), rtol=0.002)
     assert mean.complete
     assert mean.lower_mm <= 8 * exact <= mean.upper_mm
     assert mean.upper_mm - mean.lower_mm <= 0.002 * (mean.upper_mm + mean.lower_mm) * 1.0001
@@ -55,14 +56,14 @@ def test_mean_distance_to_the_middle_of_a_cube():
 
 @pytest.mark.parametrize("radius", [0.2, 0.4, 0.5])
 def test_share_of_a_ball_in_a_cube(radius):
-    coverage = certify_coverage(STILL, 0, GANTRY, *CUBE, radius, atol=0.005)
+    coverage = certify_coverage(STILL, 0, GANTRY, Region.box(*CUBE), radius, atol=0.005)
     exact = 4 / 3 * np.pi * radius**3
     assert coverage.complete
     assert coverage.lower <= exact <= coverage.upper <= coverage.lower + 0.005
 
 
 def test_bad_cells_are_bad_and_fill_what_is_bad(rng):
-    coverage = certify_coverage(STILL, 0, GANTRY, *CUBE, 0.4, mixed=0.1)
+    coverage = certify_coverage(STILL, 0, GANTRY, Region.box(*CUBE), 0.4, mixed=0.1)
     assert coverage.complete
     assert coverage.mixed <= 0.1
     inside = rng.random((len(coverage.bad_lower_mm), 3))
@@ -92,12 +93,12 @@ def test_means_and_shares_of_random_networks(seed, kinds, activation, depth, d):
         spread=0.7, lower=lower, upper=upper,
     )  # fmt: skip
     errors = plain_errors(stack, chain, lower + 60 * rng.random((3000, d)))
-    mean = certify_mean(stack, 0, chain, lower, upper, rtol=0.02)
+    mean = certify_mean(stack, 0, chain, Region.box(lower, upper), rtol=0.02)
     assert mean.complete
     slack = 6 * errors.std() / np.sqrt(len(errors))
     assert mean.lower_mm - slack <= errors.mean() <= mean.upper_mm + slack
     tolerance = float(np.quantile(errors, 0.3))
-    coverage = certify_coverage(stack, 0, chain, lower, upper, tolerance, atol=0.03)
+    coverage = certify_coverage(stack, 0, chain, Region.box(lower, upper), tolerance, atol=0.03)
     assert coverage.complete
     slack = 6 * np.sqrt(0.3 * 0.7 / len(errors)) + 1 / len(errors)
     assert coverage.lower - slack <= 0.3 <= coverage.upper + slack
@@ -106,7 +107,7 @@ def test_means_and_shares_of_random_networks(seed, kinds, activation, depth, d):
 def test_the_same_error_everywhere_is_its_own_mean(rng):
     """A gantry that is off by the same everywhere: the squared length is known exactly."""
     for bias in np.float32(rng.uniform(-3, 3, (40, 3))):
-        mean = certify_mean(linear_network(np.eye(3), bias), 0, GANTRY, *CUBE)
+        mean = certify_mean(linear_network(np.eye(3), bias), 0, GANTRY, Region.box(*CUBE))
         exact = sum(Fraction(float(b)) ** 2 for b in bias)
         assert Fraction(mean.lower_mm) ** 2 <= exact <= Fraction(mean.upper_mm) ** 2
         assert mean.upper_mm - mean.lower_mm < 1e-9
@@ -229,12 +230,12 @@ def test_cut_short_searches_still_enclose():
     rng = np.random.default_rng(1)
     stack = random_network(rng, (2, 8, 2), "relu", lower=(20, 20), upper=(50, 50))
     errors = plain_errors(stack, chain, 20 + 30 * rng.random((20_000, 2)))
-    mean = certify_mean(stack, 0, chain, (20, 20), (50, 50), rtol=1e-9, max_boxes=100)
+    mean = certify_mean(stack, 0, chain, Region.box((20, 20), (50, 50)), rtol=1e-9, max_boxes=100)
     assert not mean.complete
     assert mean.lower_mm < errors.mean() < mean.upper_mm
     tolerance = float(np.median(errors))
     coverage = certify_coverage(
-        stack, 0, chain, (20, 20), (50, 50), tolerance, atol=1e-9, max_boxes=100
+        stack, 0, chain, Region.box((20, 20), (50, 50)), tolerance, atol=1e-9, max_boxes=100
     )
     assert not coverage.complete
     assert coverage.lower < 0.5 < coverage.upper
@@ -247,8 +248,8 @@ def test_a_length_that_is_close_enough_ends_the_search():
     stack = random_network(rng, (2, 8, 2), "relu", lower=(20, 20), upper=(50, 50))
     errors = plain_errors(stack, chain, 20 + 30 * rng.random((20_000, 2)))
     box = (20, 20), (50, 50)
-    fine = certify_mean(stack, 0, chain, *box, rtol=1e-3)
-    rough = certify_mean(stack, 0, chain, *box, rtol=1e-3, atol_mm=0.5)
+    fine = certify_mean(stack, 0, chain, Region.box(*box), rtol=1e-3)
+    rough = certify_mean(stack, 0, chain, Region.box(*box), rtol=1e-3, atol_mm=0.5)
     assert rough.complete
     assert 2e-3 * rough.upper_mm < rough.upper_mm - rough.lower_mm <= 1.0
     assert rough.lower_mm < errors.mean() < rough.upper_mm
@@ -258,4 +259,4 @@ def test_a_length_that_is_close_enough_ends_the_search():
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf])
 def test_a_tolerance_is_a_positive_length(tolerance):
     with pytest.raises(IksamplesError, match="positive"):
-        certify_coverage(STILL, 0, GANTRY, *CUBE, tolerance)
+        certify_coverage(STILL, 0, GANTRY, Region.box(*CUBE), tolerance)

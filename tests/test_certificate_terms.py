@@ -27,6 +27,7 @@ from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
 from iksamples.certify.layers import Layers
 from iksamples.certify.residual import Comparison, ErrorOverBoxes
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 KINDS = st.text("RRRP", min_size=1, max_size=7)
@@ -303,7 +304,7 @@ def test_no_point_of_a_box_is_above_its_bound(seed, kinds, activation, depth, d,
     stack = random_network(
         rng, (d, *rng.integers(1, 9, depth), len(kinds)), activation, spread=rng.uniform(0.3, 2)
     )
-    errors = ErrorOverBoxes(stack, chain, np.full(d, -1.0), np.full(d, 2.0))
+    errors = ErrorOverBoxes(stack, chain, Region.box(np.full(d, -1.0), np.full(d, 2.0)))
     centre, radius = rng.uniform(0, 1, (1, d)), size * rng.uniform(0.1, 1, (1, d))
     bound, corner, _ = errors.upper_bounds(np.zeros(1, int), centre, radius)
     points = points_in(rng, centre[0] - radius[0], centre[0] + radius[0], 200)
@@ -335,7 +336,7 @@ def test_a_dropped_remainder_is_noticed(monkeypatch, dropped):
         )
 
     def excess():
-        errors = ErrorOverBoxes(stack, chain, [lower], [upper], compare)
+        errors = ErrorOverBoxes(stack, chain, Region.box([lower], [upper]), compare)
         middle, half = np.array([[(lower + upper) / 2]]), np.array([[(upper - lower) / 2]])
         bound, _, _ = errors.upper_bounds(np.zeros(1, int), middle, half)
         x = np.linspace(lower, upper, 2001)[:, None]

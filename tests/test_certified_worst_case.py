@@ -12,11 +12,12 @@ from iksamples.arm.chain import SerialChain, load_urdf
 from iksamples.certify import residual
 from iksamples.certify.checker import verify
 from iksamples.certify.jets import cubic_remainder_mm
-from iksamples.certify.region import certify_coverage, certify_mean
+from iksamples.certify.mean import certify_coverage, certify_mean
 from iksamples.certify.search import certify_stack, certify_sup
-from iksamples.certify.tiling import tiles_unit_box
+from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
@@ -69,7 +70,7 @@ SHAPES = [("relu", (16,)), ("tanh", (16,)), ("relu", (16, 16)), ("tanh", (16, 16
 @pytest.mark.parametrize(("activation", "hidden"), SHAPES)
 def test_no_point_is_above_and_one_point_attains_the_lower_bound(chain, rng, activation, hidden):
     stack = networks(rng, activation, hidden)
-    for row, certificate in enumerate(certify_stack(stack, chain, LOWER, UPPER)):
+    for row, certificate in enumerate(certify_stack(stack, chain, Region.box(LOWER, UPPER))):
         assert certificate.complete
         assert certificate.upper_mm <= 1.001 * certificate.lower_mm * (1 + 1e-9)
         errors = plain_errors(stack, row, box_points(rng, 30_000))
@@ -83,7 +84,7 @@ def test_a_million_points_on_twenty_networks_and_none_above(chain, rng):
     for k in range(20):
         activation, hidden = SHAPES[k % 4]
         stack = networks(rng, activation, hidden, n=1, spread=0.5 + 0.1 * k)
-        certificate = certify_sup(stack, 0, chain, LOWER, UPPER)
+        certificate = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
         for _ in range(4):
             errors = plain_errors(stack, 0, box_points(rng, 250_000))
             assert errors.max() <= certificate.upper_mm
@@ -97,7 +98,7 @@ def test_random_networks_in_random_small_boxes(seed, activation):
     stack = networks(rng, activation, (int(rng.integers(1, 9)),), n=1, spread=rng.uniform(0.2, 3))
     size = 10 ** rng.uniform(-2, 1.5)
     low = LOWER + rng.random(3) * (UPPER - LOWER - size)
-    certificate = certify_sup(stack, 0, chain, low, low + size, rtol=0.05)
+    certificate = certify_sup(stack, 0, chain, Region.box(low, low + size), rtol=0.05)
     points = low + size * rng.random((2000, 3))
     assert plain_errors(stack, 0, points).max() <= certificate.upper_mm
 
@@ -114,7 +115,7 @@ def test_a_constant_network_is_worst_at_the_farthest_corner(chain):
     )
     tip = chain.forward_mm(pose.astype(float))
     farthest = np.where(tip > (LOWER + UPPER) / 2, LOWER, UPPER)
-    certificate = certify_sup(stack, 0, chain, LOWER, UPPER)
+    certificate = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
     np.testing.assert_allclose(certificate.argmax_mm, farthest)
     assert certificate.lower_mm == pytest.approx(np.linalg.norm(tip - farthest))
 
@@ -129,7 +130,7 @@ def test_prismatic_arm_has_the_error_of_its_network():
     kernel = np.float32([[55, 5, 0], [0, 60, 0], [0, 0, 70]])
     bias = np.float32([20, 20, 0])
     stack = StackedMLP((kernel[None],), (bias[None],), "relu", LOWER, UPPER - LOWER, (0,))
-    certificate = certify_sup(stack, 0, gantry, LOWER, UPPER)
+    certificate = certify_sup(stack, 0, gantry, Region.box(LOWER, UPPER))
     corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
     exact = np.linalg.norm(corners @ kernel + bias - (LOWER + 60 * corners), axis=1).max()
     assert certificate.lower_mm <= exact + 1e-9
@@ -147,7 +148,7 @@ def test_cubic_remainder_is_attained_by_a_single_joint():
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
 def test_the_checker_proves_what_the_search_found(chain, rng, activation):
     stack = networks(rng, activation, (12, 8))
-    certificate = certify_sup(stack, 1, chain, LOWER, UPPER, keep_leaves=True)
+    certificate = certify_sup(stack, 1, chain, Region.box(LOWER, UPPER), keep_leaves=True)
     checked = verify(certificate, stack, 1, chain)
     assert checked.verified
     assert checked.tiles
@@ -158,9 +159,9 @@ def test_the_checker_proves_what_the_search_found(chain, rng, activation):
 
 def test_the_checker_refuses_a_search_without_its_cubic_term(chain, rng, monkeypatch):
     stack = networks(rng, "relu", (6,), n=1, spread=0.4)
-    honest = certify_sup(stack, 0, chain, LOWER, UPPER, rtol=0.02, keep_leaves=True)
+    honest = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
     monkeypatch.setattr(residual, "cubic_remainder_mm", lambda *_: 0.0)
-    broken = certify_sup(stack, 0, chain, LOWER, UPPER, rtol=0.02, keep_leaves=True)
+    broken = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
     assert broken.upper_mm < honest.upper_mm or broken.boxes < honest.boxes
     assert verify(honest, stack, 0, chain).verified
     assert not verify(broken, stack, 0, chain).verified
@@ -168,32 +169,32 @@ def test_the_checker_refuses_a_search_without_its_cubic_term(chain, rng, monkeyp
 
 def test_leaves_tile_the_box_exactly(chain, rng):
     stack = networks(rng, "tanh", (16,), n=1)
-    leaves = certify_sup(stack, 0, chain, LOWER, UPPER, keep_leaves=True).leaves
+    leaves = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), keep_leaves=True).leaves
     volume = sum(
         np.prod([Fraction(float(h)) - Fraction(float(lo)) for lo, h in zip(a, b, strict=True)])
         for a, b in zip(leaves.lower, leaves.upper, strict=True)
     )
     assert volume == 1
-    assert tiles_unit_box(leaves.lower, leaves.upper)
-    assert not tiles_unit_box(leaves.lower[1:], leaves.upper[1:])
+    assert tiles(leaves.part, leaves.lower, leaves.upper, (1, 3))
+    assert not tiles(leaves.part[1:], leaves.lower[1:], leaves.upper[1:], (1, 3))
     shifted = leaves.upper.copy()
     shifted[0] = np.nextafter(shifted[0], 0)
-    assert not tiles_unit_box(leaves.lower, shifted)
+    assert not tiles(leaves.part, leaves.lower, shifted, (1, 3))
 
 
 def test_an_unfinished_search_says_so_and_still_bounds(chain, rng):
     stack = networks(rng, "relu", (16, 16), n=1)
-    cut = certify_sup(stack, 0, chain, LOWER, UPPER, max_boxes=9)
+    cut = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), max_boxes=9)
     assert not cut.complete
-    full = certify_sup(stack, 0, chain, LOWER, UPPER)
+    full = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
     assert cut.lower_mm <= full.upper_mm <= cut.upper_mm * (1 + 1e-12)
     assert cut.upper_mm > full.upper_mm
 
 
 def test_a_warm_start_gives_the_same_bounds(chain, rng):
     stack = networks(rng, "tanh", (16,), n=1)
-    cold = certify_sup(stack, 0, chain, LOWER, UPPER, keep_leaves=True)
-    warm = certify_sup(stack, 0, chain, LOWER, UPPER, start=cold.leaves)
+    cold = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), keep_leaves=True)
+    warm = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), start=cold.leaves)
     assert warm.complete
     assert warm.lower_mm <= cold.upper_mm
     assert cold.lower_mm <= warm.upper_mm
@@ -210,21 +211,21 @@ def test_a_warm_start_gives_the_same_bounds(chain, rng):
 )
 def test_bad_boxes_are_refused(chain, rng, lower, upper, message):
     with pytest.raises(IksamplesError, match=message):
-        certify_sup(networks(rng), 0, chain, lower, upper)
+        certify_sup(networks(rng), 0, chain, Region.box(lower, upper))
 
 
 def test_broken_networks_are_refused(chain, rng):
     stack = networks(rng)
     stack.weights[0][0, 0, 0] = np.nan
     with pytest.raises(IksamplesError, match="finite"):
-        certify_sup(stack, 0, chain, LOWER, UPPER)
+        certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
     with pytest.raises(IksamplesError, match="gelu"):
-        certify_sup(networks(rng, "gelu"), 0, chain, LOWER, UPPER)
+        certify_sup(networks(rng, "gelu"), 0, chain, Region.box(LOWER, UPPER))
 
 
 def test_certified_mean_encloses_the_sampled_mean(chain, rng):
     stack = networks(rng, "relu", (16,), n=1)
-    mean = certify_mean(stack, 0, chain, LOWER, UPPER, rtol=0.025)
+    mean = certify_mean(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.025)
     assert mean.complete
     assert mean.upper_mm <= 1.06 * mean.lower_mm
     points = LOWER + (UPPER - LOWER) * rng.random((200_000, 3))
@@ -238,7 +239,7 @@ def test_certified_coverage_encloses_the_sampled_share_and_bad_cells_are_bad(cha
     points = LOWER + (UPPER - LOWER) * rng.random((100_000, 3))
     errors = plain_errors(stack, 0, points)
     tolerance = float(np.median(errors))
-    coverage = certify_coverage(stack, 0, chain, LOWER, UPPER, tolerance)
+    coverage = certify_coverage(stack, 0, chain, Region.box(LOWER, UPPER), tolerance)
     assert coverage.complete
     assert coverage.lower - 0.01 <= 0.5 <= coverage.upper + 0.01
     assert coverage.upper - coverage.lower <= 0.0401

@@ -130,9 +130,6 @@ def test_training_is_bounded_at_every_epoch(
         farthest = np.linalg.norm(home - corners, axis=1).max()
         assert rows.iloc[0]["sup_lower_mm"] <= farthest * (1 + 1e-9)
         assert farthest <= rows.iloc[0]["sup_upper_mm"] <= 1.03 * farthest
-        assert (
-            rows.iloc[0]["lipschitz_lower"] <= 1.0 + 1e-9 <= rows.iloc[0]["lipschitz_upper"] + 1e-6
-        )
 
 
 def test_diverged_seeds_are_not_shown(small: Study, chain: SerialChain, cell: Cell) -> None:

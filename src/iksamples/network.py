@@ -76,6 +76,11 @@ class StackedMLP:
             seeds=tuple(self.seeds[i] for i in index),
         )
 
+    def finite_rows(self) -> list[int]:
+        """The rows of the stack whose weights are all finite."""
+        layers = (*self.weights, *self.biases)
+        return [k for k in range(self.n_seeds) if all(np.isfinite(a[k]).all() for a in layers)]
+
     def save(self, path: str | Path) -> None:
         """Writes the stack as a safetensors file, which runs no code when it is loaded."""
         tensors = {"offset_mm": self.offset_mm, "scale_mm": self.scale_mm}

@@ -9,6 +9,7 @@ from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 from iksamples.samples.dataset import AXES, SampleSet
 from iksamples.samples.record import region_points
 from iksamples.study import Study
@@ -205,8 +206,7 @@ def _worst_points(study: Study, chain: SerialChain, network: StackedMLP, k: int)
         certificates = certify_stack(
             some,
             chain,
-            edges[corner, axes],
-            edges[corner + 1, axes],
+            Region.box(edges[corner, axes], edges[corner + 1, axes]),
             rtol=_RTOL,
             max_boxes=_MAX_BOXES,
             time_limit_s=np.inf,

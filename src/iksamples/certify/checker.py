@@ -2,19 +2,19 @@
 
 Nothing here is shared with the search but the definition of what is certified:
 
-    the supremum over the closed box [lower_mm, upper_mm] of || P FK(N(x)) - x_I ||,
+    the supremum over a region, a union of closed boxes, of || P FK(N(x)) - x_I ||,
 
 with N the network, its stored float32 weights and float64 offset and scale read as exact reals,
 ``N(x) = W_L act(... act(W_1 (x - offset) / scale + b_1) ...) + b_L``; FK the chain's product of
 exponentials, its stored points and directions read as exact reals and each direction divided by its
 exact length; P the compared coordinates and x_I the compared inputs; in real arithmetic. The claim
-is about nothing outside the box. What evaluating the network in float32 adds to it is
+is about nothing outside the region. What evaluating the network in float32 adds to it is
 ``rounding.inference_slack_mm``.
 
-The proof covers the box with leaves and encloses the residual over each: the network by the affine
-(ReLU) or second-order (tanh) expansion plus bounded noise, the arm by its second-order expansion
-plus a bound of the third derivative. Here that is done in ball arithmetic (``balls``), with the
-arm's derivatives from products of its transformations and their derivatives.
+The proof covers the region with leaves and encloses the residual over each: the network by the
+affine (ReLU) or second-order (tanh) expansion plus bounded noise, the arm by its second-order
+expansion plus a bound of the third derivative. Here that is done in ball arithmetic (``balls``),
+with the arm's derivatives from products of its transformations and their derivatives.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ from iksamples.certify.checker_network import (
     network_terms,
 )
 from iksamples.certify.search import Certificate
-from iksamples.certify.tiling import tiles_unit_box
+from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 
@@ -55,10 +55,10 @@ class Verification:
     """What the checker could prove.
 
     Attributes:
-        upper_mm: No position of the box has a larger error [mm]; infinite where the leaves do not
-            tile the box.
+        upper_mm: No position of the region has a larger error [mm]; infinite where the leaves do
+            not tile the region.
         lower_mm: The error at the certificate's worst position is at least this [mm].
-        tiles: Whether the leaves tile the box exactly.
+        tiles: Whether the leaves tile the region exactly.
         verified: Whether the certificate's bounds are proved as they stand.
         leaves: Leaves checked.
     """
@@ -91,19 +91,20 @@ def verify(
         )
     net = Network.of(network, row)
     arm = Arm(chain)
-    tiles = tiles_unit_box(leaves.lower, leaves.upper)
-    low, high = Ball.of(certificate.box_lower_mm), Ball.of(certificate.box_upper_mm)
+    region = certificate.region
+    tiled = tiles(leaves.part, leaves.lower, leaves.upper, region.lower.shape)
     coordinates, inputs = list(certificate.compare.coordinates), list(certificate.compare.inputs)
 
     point = certificate.argmax_mm
-    inside = bool(np.all((point >= low.mid) & (point <= high.mid)))
+    inside = bool(region.contains(point))
     miss = arm.position(net.answer(Ball.of(point[None])))[:, coordinates] - point[None, inputs]
     least = np.maximum(np.abs(miss.mid) - miss.rad, 0.0)
     lower = float(np.sqrt(np.sum(least**2)) * (1.0 - 32.0 * UNIT)) if inside else 0.0
 
     upper = lower
-    for first in range(0, len(leaves.lower), _BATCH):
+    for first in range(0, len(leaves.lower) if tiled else 0, _BATCH):
         some = slice(first, first + _BATCH)
+        low, high = (Ball.of(walls[leaves.part[some]]) for walls in (region.lower, region.upper))
         # Shares of the edges are binary fractions: their half sums and differences are exact.
         middle = 0.5 * (leaves.lower[some] + leaves.upper[some])
         half = 0.5 * (leaves.upper[some] - leaves.lower[some])
@@ -111,12 +112,12 @@ def verify(
             net, arm, low + (high - low) * middle, (high - low) * half, coordinates, inputs
         )
         upper = max(upper, float(bounds.max()) if not np.isnan(bounds).any() else np.inf)
-    if not tiles:
+    if not tiled:
         upper = np.inf
     return Verification(
         upper,
         lower,
-        tiles,
+        tiled,
         bool(upper <= certificate.upper_mm and lower >= certificate.lower_mm),
         len(leaves.lower),
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.enclosure import (
@@ -23,6 +23,7 @@ from iksamples.certify.layers import Layers
 from iksamples.certify.rounding import FLOAT64, rounding_slack_mm
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -125,8 +126,7 @@ class ErrorOverBoxes:
         self,
         network: StackedMLP,
         chain: SerialChain,
-        lower_mm: ArrayLike,
-        upper_mm: ArrayLike,
+        region: Region,
         compare: Comparison | None = None,
     ) -> None:
         """Checks that everything fits together.
@@ -134,17 +134,21 @@ class ErrorOverBoxes:
         Args:
             network: Stacked networks.
             chain: The arm.
-            lower_mm: Lower corner of the region, shape (in,).
-            upper_mm: Upper corner of the region, shape (in,).
+            region: The inputs that it is about.
             compare: What is compared; ``Comparison.default`` if None.
 
         Raises:
-            IksamplesError: The box is empty, or the network, the arm, the box and what is compared
-                do not fit together.
+            IksamplesError: The network, the arm, the region and what is compared do not fit
+                together.
         """
         self.layers = Layers.of(network)
         self.linkage = Linkage.of(chain)
-        self.lower_mm, self.upper_mm = check_box(lower_mm, upper_mm, self.layers.n_inputs)
+        self.region = region
+        if region.n_inputs != self.layers.n_inputs:
+            raise IksamplesError(
+                f"the box needs {self.layers.n_inputs} lower and {self.layers.n_inputs} upper "
+                f"limits, one per input of the network; got {region.n_inputs} of either."
+            )
         self.compare = compare or Comparison.default(self.layers.n_inputs)
         if self.layers.n_outputs != self.linkage.n_joints:
             raise IksamplesError(
@@ -161,9 +165,7 @@ class ErrorOverBoxes:
                 f"cannot compare coordinates {coordinates} of the tip with inputs {inputs} of a "
                 f"network that has {self.layers.n_inputs}."
             )
-        self.slack_mm = _SLACK * rounding_slack_mm(
-            self.layers, self.linkage, self.lower_mm, self.upper_mm, FLOAT64
-        )
+        self.slack_mm = _SLACK * rounding_slack_mm(self.layers, self.linkage, region, FLOAT64)
 
     @property
     def n_networks(self) -> int:
@@ -277,30 +279,10 @@ class ErrorOverBoxes:
         whole = turns.sum(axis=1, keepdims=True)
         due = (turns * (lengths_mm * whole**2)).sum(axis=2)
         # Any edge may be to blame for what is not linear, so every edge is halved in the end.
-        edges = radius_mm / (self.upper_mm - self.lower_mm)
+        edges = radius_mm / (self.region.upper_corner - self.region.lower_corner)
         due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
         due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
         return remainder_mm.max(axis=1)[:, None] * due
-
-
-def check_box(lower_mm: ArrayLike, upper_mm: ArrayLike, d: int) -> tuple[Floats, Floats]:
-    """A box as two corners.
-
-    Raises:
-        IksamplesError: The box is empty, inverted, not finite, or of another dimension.
-    """
-    lower, upper = np.array(lower_mm, float), np.array(upper_mm, float)
-    if lower.shape != (d,) or upper.shape != (d,):
-        raise IksamplesError(
-            f"the box needs {d} lower and {d} upper limits, one per input of the network; "
-            f"got {lower.size} and {upper.size}."
-        )
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower < upper).all()):
-        raise IksamplesError(
-            f"the box from {lower.tolist()} to {upper.tolist()} is empty; every upper limit must "
-            "be finite and greater than the lower one."
-        )
-    return lower, upper
 
 
 @lru_cache(maxsize=16)

@@ -1,12 +1,13 @@
 """What rounding can do to the tip, bounded in advance."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.jets import Linkage
 from iksamples.certify.layers import Layers
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -15,32 +16,21 @@ FLOAT64 = 2.0**-53
 FLOAT32 = 2.0**-24
 
 
-def inference_slack_mm(
-    network: StackedMLP, chain: SerialChain, lower_mm: ArrayLike, upper_mm: ArrayLike
-) -> Floats:
+def inference_slack_mm(network: StackedMLP, chain: SerialChain, region: Region) -> Floats:
     """What to add to a certificate where the network itself is evaluated in float32.
 
     Args:
         network: Stacked networks.
         chain: The arm, whose forward kinematics is the real arm's and not rounded.
-        lower_mm: Lower corner of the box [mm], shape (in,).
-        upper_mm: Upper corner of the box [mm], shape (in,).
+        region: The inputs that it is about.
 
     Returns:
         One bound per network [mm], shape (networks,).
     """
-    return rounding_slack_mm(
-        Layers.of(network),
-        Linkage.of(chain),
-        np.asarray(lower_mm, float),
-        np.asarray(upper_mm, float),
-        FLOAT32,
-    )
+    return rounding_slack_mm(Layers.of(network), Linkage.of(chain), region, FLOAT32)
 
 
-def rounding_slack_mm(
-    layers: Layers, linkage: Linkage, lower_mm: Floats, upper_mm: Floats, unit: float
-) -> Floats:
+def rounding_slack_mm(layers: Layers, linkage: Linkage, region: Region, unit: float) -> Floats:
     """A-priori bound of what rounding does to the tip when the network is evaluated plainly.
 
     Standard model: every operation is exact but for a relative error of ``unit``; a sum of k terms
@@ -51,13 +41,13 @@ def rounding_slack_mm(
     Args:
         layers: The networks.
         linkage: The arm, evaluated in float64.
-        lower_mm: Lower corner of the region, shape (d,).
-        upper_mm: Upper corner, shape (d,).
+        region: The inputs that it is about.
         unit: Half the distance from 1 to the next number: 2^-24 for float32, 2^-53 for float64.
 
     Returns:
         One bound per network [mm], shape (networks,).
     """
+    lower_mm, upper_mm = region.lower_corner, region.upper_corner
     ends = np.maximum(np.abs(lower_mm), np.abs(upper_mm))
     offset, scale = np.abs(layers.offset_mm), np.abs(layers.scale_mm)
     # Three rounded inputs, a difference and a quotient; 1 + 8 unit covers products of roundings.

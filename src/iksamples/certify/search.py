@@ -1,4 +1,4 @@
-"""Branch and bound: the largest value over a box, from below and from above."""
+"""Branch and bound: the largest value over a region, from below and from above."""
 
 import time
 from collections.abc import Sequence
@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.enclosure import corners
 from iksamples.certify.residual import Comparison, ErrorOverBoxes
-from iksamples.certify.tiling import tiles_unit_box
+from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -32,8 +33,7 @@ _SMALLEST = 2.0**-48
 class Objective(Protocol):
     """Something to maximise, for several networks at once."""
 
-    lower_mm: Floats
-    upper_mm: Floats
+    region: Region
 
     @property
     def n_networks(self) -> int:
@@ -56,11 +56,13 @@ class Leaves:
     """The boxes that a search ended with; together they tile the region.
 
     Attributes:
-        lower: Lower corners as shares of the region's edges, exact binary fractions, (n, d).
+        part: The box of the region that each is a part of, shape (n,).
+        lower: Lower corners as shares of that box's edges, exact binary fractions, (n, d).
         upper: Upper corners, likewise.
-        bound: The upper bound over each box, shape (n,).
+        bound: The upper bound over each, shape (n,).
     """
 
+    part: Ints
     lower: Floats
     upper: Floats
     bound: Floats
@@ -91,17 +93,16 @@ class Supremum:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """A certified worst-case position error over a box.
+    """A certified worst-case position error over a region.
 
     Attributes:
         lower_mm: An error that is taken, at ``argmax_mm`` [mm].
-        upper_mm: No position of the box has a larger error [mm].
+        upper_mm: No position of the region has a larger error [mm].
         argmax_mm: Where the largest known error is [mm], shape (d,).
         boxes: Boxes bounded.
         seconds: Time spent.
         complete: Whether upper and lower met to the tolerance. ``upper_mm`` holds in any case.
-        box_lower_mm: Lower corner of the box [mm].
-        box_upper_mm: Upper corner of the box [mm].
+        region: The inputs that it is about.
         compare: What is compared.
         leaves: The boxes of the proof, for the checker; None unless kept.
     """
@@ -112,8 +113,7 @@ class Certificate:
     boxes: int
     seconds: float
     complete: bool
-    box_lower_mm: Floats
-    box_upper_mm: Floats
+    region: Region
     compare: Comparison
     leaves: Leaves | None = None
 
@@ -122,8 +122,7 @@ def certify_sup(
     network: StackedMLP,
     row: int,
     chain: SerialChain,
-    lower_mm: ArrayLike,
-    upper_mm: ArrayLike,
+    region: Region,
     *,
     rtol: float = 1e-3,
     seeds_mm: ArrayLike | None = None,
@@ -133,16 +132,15 @@ def certify_sup(
     start: Leaves | None = None,
     compare: Comparison | None = None,
 ) -> Certificate:
-    """The largest position error of one network over a box, enclosed by branch and bound.
+    """The largest position error of one network over a region, enclosed by branch and bound.
 
     Args:
         network: Stacked networks.
         row: Which of them.
         chain: The arm.
-        lower_mm: Lower corner of the box [mm], shape (in,).
-        upper_mm: Upper corner of the box [mm], shape (in,).
+        region: The inputs that it is about.
         rtol: The search ends once upper <= (1 + rtol) lower.
-        seeds_mm: Points of the box worth trying, such as the training points, shape (n, in).
+        seeds_mm: Points of the region worth trying, such as the training points, shape (n, in).
         max_boxes: Boxes to bound, at most.
         time_limit_s: Time to spend, at most [s].
         keep_leaves: Whether to keep the boxes of the proof.
@@ -151,14 +149,13 @@ def certify_sup(
         compare: What is compared; the first coordinates with the first inputs if None.
 
     Raises:
-        IksamplesError: The network has a number that is not finite or an unknown activation, the
-            box is empty, or things do not fit together.
+        IksamplesError: The network has a number that is not finite or an unknown activation, or
+            things do not fit together.
     """
     [certificate] = certify_stack(
         network.select([row]),
         chain,
-        lower_mm,
-        upper_mm,
+        region,
         rtol=rtol,
         seeds_mm=seeds_mm,
         max_boxes=max_boxes,
@@ -173,8 +170,7 @@ def certify_sup(
 def certify_stack(
     network: StackedMLP,
     chain: SerialChain,
-    lower_mm: ArrayLike,
-    upper_mm: ArrayLike,
+    region: Region,
     *,
     rtol: float = 1e-3,
     seeds_mm: ArrayLike | None = None,
@@ -188,14 +184,12 @@ def certify_stack(
 
     ``max_boxes`` and ``time_limit_s`` count per network. One certificate per network, in order.
     """
-    objective = ErrorOverBoxes(network, chain, lower_mm, upper_mm, compare)
+    objective = ErrorOverBoxes(network, chain, region, compare)
     first = None
     if start is not None:
-        if start.lower.shape[1:] != objective.lower_mm.shape or not tiles_unit_box(
-            start.lower, start.upper
-        ):
+        if not tiles(start.part, start.lower, start.upper, region.lower.shape):
             raise IksamplesError("the boxes to start from do not tile the region.")
-        first = start.lower, start.upper - start.lower
+        first = start.part, start.lower, start.upper - start.lower
     found = maximise(
         objective,
         rtol=rtol,
@@ -214,8 +208,7 @@ def certify_stack(
             item.boxes,
             item.seconds,
             item.complete,
-            objective.lower_mm,
-            objective.upper_mm,
+            region,
             objective.compare,
             item.leaves,
         )
@@ -232,9 +225,9 @@ def maximise(
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
-    first: tuple[Floats, Floats] | None = None,
+    first: tuple[Ints, Floats, Floats] | None = None,
 ) -> list[Supremum]:
-    """Encloses the supremum over the objective's box for each network.
+    """Encloses the supremum over the objective's region for each network.
 
     A box whose upper bound is within the tolerance of the best value found anywhere is a leaf; any
     other is halved along the axis that weighs most. The supremum is at most the largest bound of
@@ -248,26 +241,27 @@ def maximise(
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
         keep_leaves: Whether to keep the leaves.
-        first: Lower corners and edges, as shares of the region's edges, of the boxes to start
-            from; they must tile the region.
+        first: Boxes to start from, which must tile the region: the region's box that each is in,
+            lower corners and edges as shares of that box's.
     """
     began = time.perf_counter()
-    n, size = objective.n_networks, objective.upper_mm - objective.lower_mm
-    best, argmax = _first_values(objective, size, seeds_mm)
-    low, edge = first or _first_boxes(len(size))
+    n, region = objective.n_networks, objective.region
+    best, argmax = _first_values(objective, seeds_mm)
+    part, low, edge = first or _first_boxes(region)
     which = np.repeat(np.arange(n), len(low))
-    low, edge = np.tile(low, (n, 1)), np.tile(edge, (n, 1))
+    part, low, edge = np.tile(part, n), np.tile(low, (n, 1)), np.tile(edge, (n, 1))
     hopes = np.full(len(low), np.inf)  # what is known about a waiting box: its parent's bound
 
     boxes, settled = np.zeros(n, int), np.full(n, -np.inf)
-    kept: list[tuple[Ints, Floats, Floats, Floats]] = []
+    kept: list[tuple[Ints, Ints, Floats, Floats, Floats]] = []
     while len(low):
         spent = time.perf_counter() - began > time_limit_s * n
         allowed = (boxes < max_boxes)[which] & (not spent) & (edge.max(axis=1) > _SMALLEST)
         allowed |= np.isinf(hopes)  # a first bound of everything, whatever the limits
         if not allowed.all():
-            _keep(kept, settled, keep_leaves, which, low, edge, hopes, ~allowed)
-            which, low, edge, hopes = which[allowed], low[allowed], edge[allowed], hopes[allowed]
+            _keep(kept, settled, keep_leaves, which, part, low, edge, hopes, ~allowed)
+            which, part, hopes = which[allowed], part[allowed], hopes[allowed]
+            low, edge = low[allowed], edge[allowed]
             if not len(low):
                 break
         # The most promising boxes first, so that a search that is cut short has done most.
@@ -278,19 +272,21 @@ def maximise(
         wait = np.ones(len(low), bool)
         wait[now] = False
 
-        w, lo, ed = which[now], low[now], edge[now]
+        w, at, lo, ed = which[now], part[now], low[now], edge[now]
+        size = (region.upper - region.lower)[at]
         radius = 0.5 * size * ed
-        centre = objective.lower_mm + size * (lo + 0.5 * ed)
+        centre = region.lower[at] + size * (lo + 0.5 * ed)
         bound, candidate, weight = objective.upper_bounds(w, centre, radius)
         boxes += np.bincount(w, minlength=n)
-        _try(objective, best, argmax, w, bound, centre, candidate, len(now) >= _BATCH)
+        _try(objective, best, argmax, w, at, bound, centre, candidate, len(now) >= _BATCH)
 
         done = bound <= np.maximum((1.0 + rtol) * best, best + atol)[w]
-        _keep(kept, settled, keep_leaves, w, lo, ed, bound, done)
-        w, lo, ed, bound, weight = w[~done], lo[~done], ed[~done], bound[~done], weight[~done]
-        w, lo, ed, bound = _split(w, lo, ed, bound, weight, int(wait.sum()))
-        which, low = np.concatenate([which[wait], w]), np.concatenate([low[wait], lo])
-        edge, hopes = np.concatenate([edge[wait], ed]), np.concatenate([hopes[wait], bound])
+        _keep(kept, settled, keep_leaves, w, at, lo, ed, bound, done)
+        of, lo, ed = _split(lo[~done], ed[~done], weight[~done], int(wait.sum()))
+        w, at, bound = w[~done][of], at[~done][of], bound[~done][of]
+        which, part = np.concatenate([which[wait], w]), np.concatenate([part[wait], at])
+        low, edge = np.concatenate([low[wait], lo]), np.concatenate([edge[wait], ed])
+        hopes = np.concatenate([hopes[wait], bound])
 
     seconds = (time.perf_counter() - began) / n
     threshold = np.maximum((1.0 + rtol) * best, best + atol)
@@ -309,16 +305,14 @@ def maximise(
     ]
 
 
-def _first_values(
-    objective: Objective, size: Floats, seeds_mm: ArrayLike | None
-) -> tuple[Floats, Floats]:
+def _first_values(objective: Objective, seeds_mm: ArrayLike | None) -> tuple[Floats, Floats]:
     """The best values at the corners and the seeds, and where."""
-    n, d = objective.n_networks, len(size)
-    points = np.where(corners(d) > 0, objective.upper_mm, objective.lower_mm)
+    n, region = objective.n_networks, objective.region
+    d = region.n_inputs
+    points = np.where(corners(d) > 0, region.upper[:, None], region.lower[:, None]).reshape(-1, d)
     if seeds_mm is not None:
         seeds = np.array(seeds_mm, float).reshape(-1, d)
-        inside = np.all((seeds >= objective.lower_mm) & (seeds <= objective.upper_mm), axis=1)
-        points = np.concatenate([points, seeds[inside]])
+        points = np.concatenate([points, seeds[region.contains(seeds)]])
     best, argmax = np.full(n, -np.inf), np.empty((n, d))
     step = max(1, 65_536 // len(points))
     for row in range(0, n, step):
@@ -330,12 +324,16 @@ def _first_values(
     return best, argmax
 
 
-def _first_boxes(d: int) -> tuple[Floats, Floats]:
-    """Lower corners and edges, as shares of the region's, of the boxes to begin with."""
+def _first_boxes(region: Region) -> tuple[Ints, Floats, Floats]:
+    """The boxes to begin with: which box of the region, lower corners and edges as its shares."""
+    n, d = region.lower.shape
     per_axis = 4 if d <= 3 else 2
+    while per_axis > 1 and n > 1 and n * per_axis**d > _FILL:
+        per_axis //= 2
     axis = np.arange(per_axis) / per_axis
     low = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    return low, np.full_like(low, 1.0 / per_axis)
+    part = np.repeat(np.arange(n), len(low))
+    return part, np.tile(low, (n, 1)), np.full((len(part), d), 1.0 / per_axis)
 
 
 def _try(
@@ -343,6 +341,7 @@ def _try(
     best: Floats,
     argmax: Floats,
     which: Ints,
+    part: Ints,
     bound: Floats,
     centre: Floats,
     candidate: Floats,
@@ -355,6 +354,7 @@ def _try(
         best: Best value of each network.
         argmax: Where it is.
         which: The network that each box is for.
+        part: The box of the region that each is in.
         bound: Upper bounds over the boxes.
         centre: Their centres.
         candidate: Promising points of each.
@@ -367,29 +367,28 @@ def _try(
     if not len(top):
         return
     points = np.concatenate([centre[top, None], candidate[top]], axis=1)
-    owner = np.repeat(which[top], points.shape[1])
+    owner, part = np.repeat(which[top], points.shape[1]), np.repeat(part[top], points.shape[1])
     # Rounding may have put a corner of the region a last place outside it.
-    points = np.clip(points.reshape(len(owner), -1), objective.lower_mm, objective.upper_mm)
+    walls = objective.region.lower[part], objective.region.upper[part]
+    points = np.clip(points.reshape(len(owner), -1), *walls)
     values = objective.values(owner, points)
     if climb:
         start = np.argsort(best[owner] - values)[:_STARTS]
         owner, points, values = owner[start], points[start], values[start]
-        _climb(objective, owner, points, values)
+        _climb(objective, owner, part[start], points, values)
     order = np.argsort(values)  # the last assignment to a row is its largest value
     order = order[values[order] > best[owner[order]]]
     best[owner[order]], argmax[owner[order]] = values[order], points[order]
 
 
-def _climb(objective: Objective, which: Ints, points: Floats, values: Floats) -> None:
-    """Moves points of the region uphill along the axes, in place."""
-    size = objective.upper_mm - objective.lower_mm
+def _climb(objective: Objective, which: Ints, part: Ints, points: Floats, values: Floats) -> None:
+    """Moves points of boxes of the region uphill along the axes, in place."""
+    lower, upper = objective.region.lower[part, None], objective.region.upper[part, None]
     n, d = points.shape
-    moves = size * np.concatenate([np.eye(d), -np.eye(d)])
+    moves = (upper - lower) * np.concatenate([np.eye(d), -np.eye(d)])
     step, rows, owner = np.full(n, 0.25), np.arange(n), np.repeat(which, 2 * d)
     for _ in range(_STEPS):
-        tried = np.clip(
-            points[:, None] + step[:, None, None] * moves, objective.lower_mm, objective.upper_mm
-        )
+        tried = np.clip(points[:, None] + step[:, None, None] * moves, lower, upper)
         found = objective.values(owner, tried.reshape(-1, d)).reshape(n, -1)
         top = found.argmax(axis=1)
         better = found[rows, top] > values
@@ -398,10 +397,13 @@ def _climb(objective: Objective, which: Ints, points: Floats, values: Floats) ->
         step[~better] *= 0.5
 
 
-def _split(
-    which: Ints, low: Floats, edge: Floats, bound: Floats, weight: Floats, waiting: int
-) -> tuple[Ints, Floats, Floats, Floats]:
-    """Halves boxes; several times where few are left, since a call costs more than a box."""
+def _split(low: Floats, edge: Floats, weight: Floats, waiting: int) -> tuple[Ints, Floats, Floats]:
+    """Halves boxes; several times where few are left, since a call costs more than a box.
+
+    Returns:
+        The box that each half is of; lower corners; edges.
+    """
+    of = np.arange(len(low))
     for _ in range(low.shape[1]):
         rows = np.arange(len(low))
         axis = np.where(edge > _SMALLEST, weight, -1.0).argmax(axis=1)
@@ -410,18 +412,18 @@ def _split(
         weight[rows, axis] *= 0.5
         twin[rows, axis] += edge[rows, axis]
         low, edge = np.concatenate([low, twin]), np.concatenate([edge, edge])
-        which, bound = np.concatenate([which, which]), np.concatenate([bound, bound])
-        weight = np.concatenate([weight, weight])
+        of, weight = np.concatenate([of, of]), np.concatenate([weight, weight])
         if 2 * len(low) + waiting > _FILL:
             break
-    return which, low, edge, bound
+    return of, low, edge
 
 
 def _keep(
-    kept: list[tuple[Ints, Floats, Floats, Floats]],
+    kept: list[tuple[Ints, Ints, Floats, Floats, Floats]],
     settled: Floats,
     keep_leaves: bool,
     which: Ints,
+    part: Ints,
     low: Floats,
     edge: Floats,
     bound: Floats,
@@ -430,11 +432,11 @@ def _keep(
     """Settles the boxes of a mask."""
     np.maximum.at(settled, which[mask], bound[mask])
     if keep_leaves:
-        kept.append((which[mask], low[mask], edge[mask], bound[mask]))
+        kept.append((which[mask], part[mask], low[mask], edge[mask], bound[mask]))
 
 
-def _gather(kept: Sequence[tuple[Ints, Floats, Floats, Floats]], n: int) -> list[Leaves]:
+def _gather(kept: Sequence[tuple[Ints, Ints, Floats, Floats, Floats]], n: int) -> list[Leaves]:
     """Leaves by network."""
-    which, low, edge, bound = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+    which, part, low, edge, bound = (np.concatenate(parts) for parts in zip(*kept, strict=True))
     rows = [np.flatnonzero(which == row) for row in range(n)]
-    return [Leaves(low[row], low[row] + edge[row], bound[row]) for row in rows]
+    return [Leaves(part[row], low[row], low[row] + edge[row], bound[row]) for row in rows]

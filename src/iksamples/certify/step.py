@@ -8,11 +8,12 @@ import numpy as np
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.checker import verify
 from iksamples.certify.lookup import certify_table
-from iksamples.certify.region import certify_mean
+from iksamples.certify.mean import certify_mean
 from iksamples.certify.search import certify_stack
 from iksamples.columns import CERTIFICATES
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 
@@ -61,14 +62,12 @@ def certify_networks(
     Returns:
         One row per seed, columns as in ``columns.CERTIFICATES``.
     """
-    box = study.workspace.lower_mm, study.workspace.upper_mm
-    layers = (*network.weights, *network.biases)
-    finite = [k for k in range(network.n_seeds) if all(np.isfinite(a[k]).all() for a in layers)]
-    sound = network.select(finite)
+    region = Region.box(study.workspace.lower_mm, study.workspace.upper_mm)
+    sound = network.select(network.finite_rows())
     certificates = certify_stack(
         sound,
         chain,
-        *box,
+        region,
         rtol=study.bounds.sup_rtol,
         seeds_mm=samples.positions_mm,
         keep_leaves=True,
@@ -79,7 +78,7 @@ def certify_networks(
             sound,
             row,
             chain,
-            *box,
+            region,
             rtol=study.bounds.mean_rtol,
             atol_mm=study.bounds.mean_atol_mm,
         )

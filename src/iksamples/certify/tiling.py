@@ -1,4 +1,4 @@
-"""Whether boxes tile the unit box, exactly."""
+"""Whether leaves tile the boxes of a region, exactly."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +9,33 @@ Floats = NDArray[np.float64]
 _BITS = 52
 
 
-def tiles_unit_box(lower: Floats, upper: Floats) -> bool:
-    """Whether boxes with binary-fraction corners fill the unit box without overlap.
+def tiles(part: NDArray, lower: NDArray, upper: NDArray, shape: tuple[int, int]) -> bool:
+    """Whether leaves with binary-fraction corners fill the boxes of a region without overlap.
 
-    Everything is integer arithmetic in units of 2^-52. A cell is cut at its midpoint along the
-    first axis along which no box straddles the cut, its boxes are dealt to the halves, and so on; a
-    cell that has one box left must be that box. Any tiling made by repeated halving passes, and
-    nothing passes that is not a tiling: no cell is ever left without a box.
+    Everything is integer arithmetic in units of 2^-52. A cell, to begin with a whole box, is cut at
+    its midpoint along the first axis along which no leaf straddles the cut, its leaves are dealt to
+    the halves, and so on; a cell that has one leaf left must be that leaf. Any tiling made by
+    repeated halving passes, and nothing passes that is not a tiling: no cell is ever left without a
+    leaf.
 
     Args:
-        lower: Lower corners, shape (boxes, d).
-        upper: Upper corners, shape (boxes, d).
+        part: The box of the region that each leaf is a part of, integers of shape (leaves,).
+        lower: Lower corners as shares of that box's edges, float64 of shape (leaves, d).
+        upper: Upper corners, likewise.
+        shape: Number of boxes of the region, and d.
+
+    Returns:
+        False also for arrays of any other shape or type.
     """
-    if lower.ndim != 2 or lower.shape != upper.shape or not lower.size:
+    boxes, d = shape
+    if not (
+        part.ndim == 1
+        and part.dtype == np.int64
+        and lower.dtype == upper.dtype == np.float64
+        and lower.shape == upper.shape == (len(part), d)
+        and len(part)
+        and ((part >= 0) & (part < boxes)).all()
+    ):
         return False
     whole = 2**_BITS
     low, high = _integers(lower), _integers(upper)
@@ -30,9 +44,8 @@ def tiles_unit_box(lower: Floats, upper: Floats) -> bool:
     if not ((low >= 0) & (low < high) & (high <= whole)).all():
         return False
 
-    n, d = low.shape
-    cell = np.zeros(n, int)  # the cell that each box is in; the cells' corners follow
-    cell_low, cell_high = np.zeros((1, d), int), np.full((1, d), whole)
+    cell = part  # the cell that each leaf is in; the cells' corners follow
+    cell_low, cell_high = np.zeros((boxes, d), int), np.full((boxes, d), whole)
     while True:
         counts = np.bincount(cell, minlength=len(cell_low))
         if (counts == 0).any():

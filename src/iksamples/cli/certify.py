@@ -40,12 +40,13 @@ def certify(
     from iksamples.certify.external import load_network
     from iksamples.certify.rounding import inference_slack_mm
     from iksamples.certify.search import certify_stack
+    from iksamples.region import Region
 
     network = load_network(weights, activation=activation, offset_mm=offset_mm, scale_mm=scale_mm)
     chain = load_urdf(robot)
-    region = box[:3], box[3:]
-    slack_mm = inference_slack_mm(network, chain, *region)
-    proofs = certify_stack(network, chain, *region, rtol=rtol, keep_leaves=True)
+    region = Region.box(box[:3], box[3:])
+    slack_mm = inference_slack_mm(network, chain, region)
+    proofs = certify_stack(network, chain, region, rtol=rtol, keep_leaves=True)
     for row, proof in enumerate(proofs):
         checked = verify(proof, network, row, chain).verified
         where = "({:.4g}, {:.4g}, {:.4g})".format(*proof.argmax_mm)

@@ -119,13 +119,4 @@ def _along_the_training(rows: pd.DataFrame, grid: Grid) -> str:
             f" It was lower before: at most {best['sup_upper_mm']:.1f} mm at epoch "
             f"{int(best['epoch'])}, so training on did not make the worst point better."
         )
-    slopes = rows[rows["lipschitz_upper"].notna()]
-    if len(slopes) > 1:
-        first, final = slopes.iloc[0], slopes.iloc[-1]
-        text += (
-            f" The Lipschitz constant of h − id, by which the error can grow between samples, is "
-            f"between {first['lipschitz_lower']:.1f} and {first['lipschitz_upper']:.1f} at epoch "
-            f"{int(first['epoch'])} and between {final['lipschitz_lower']:.1f} and "
-            f"{final['lipschitz_upper']:.1f} at epoch {int(final['epoch'])}."
-        )
     return text

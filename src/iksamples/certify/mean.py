@@ -1,17 +1,18 @@
-"""The mean error over a box, and the share of the box under a tolerance, enclosed."""
+"""The mean error over a region, and the share of it under a tolerance, enclosed."""
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.enclosure import corners
 from iksamples.certify.residual import Comparison, ErrorOverBoxes, Residual
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -27,7 +28,7 @@ _SHARE_SLACK = 1e-7
 
 @dataclass(frozen=True)
 class MeanError:
-    """The mean position error over the box, enclosed.
+    """The mean position error over the region, enclosed.
 
     Attributes:
         lower_mm: The mean is at least this [mm].
@@ -46,16 +47,16 @@ class MeanError:
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """The share of the box where the error is at most a tolerance, enclosed.
+    """The share of the region where the error is at most a tolerance, enclosed.
 
     Attributes:
         tolerance_mm: The tolerance [mm].
-        lower: At least this share of the box is under the tolerance.
+        lower: At least this share of the region is under the tolerance.
         upper: At most this share is.
         bad_lower_mm: Lower corners of cells where the error is above the tolerance everywhere
             [mm], shape (cells, d).
         bad_upper_mm: Their upper corners [mm], shape (cells, d).
-        mixed: Share of the box in cells that are neither good nor bad throughout.
+        mixed: Share of the region in cells that are neither good nor bad throughout.
         boxes: Cells bounded.
         seconds: Time spent.
         complete: Whether the tolerances asked for were met; the bounds hold in any case.
@@ -76,8 +77,7 @@ def certify_mean(
     network: StackedMLP,
     row: int,
     chain: SerialChain,
-    lower_mm: ArrayLike,
-    upper_mm: ArrayLike,
+    region: Region,
     *,
     rtol: float = 0.025,
     atol_mm: float = 0.0,
@@ -85,14 +85,13 @@ def certify_mean(
     time_limit_s: float = 60.0,
     compare: Comparison | None = None,
 ) -> MeanError:
-    """The mean position error over a box, uniformly weighted.
+    """The mean position error over a region, uniformly weighted.
 
     Args:
         network: Stacked networks.
         row: Which of them.
         chain: The arm.
-        lower_mm: Lower corner of the box [mm], shape (in,).
-        upper_mm: Upper corner of the box [mm], shape (in,).
+        region: The inputs that it is about.
         rtol: The bounds end up within this share of their middle,
         atol_mm: or within this length of it [mm], if that is more.
         max_boxes: Cells to bound, at most.
@@ -103,9 +102,9 @@ def certify_mean(
         IksamplesError: As ``certify_sup``.
     """
     began = time.perf_counter()
-    errors = ErrorOverBoxes(network.select([row]), chain, lower_mm, upper_mm, compare)
+    errors = ErrorOverBoxes(network.select([row]), chain, region, compare)
     cells = _Cells(errors)
-    low, high, weight = np.empty(0), np.empty(0), np.empty((0, len(errors.lower_mm)))
+    low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
         fresh_low, fresh_high, fresh_weight = cells.bound_new(_mean_of_cells)
         low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
@@ -127,8 +126,7 @@ def certify_coverage(
     network: StackedMLP,
     row: int,
     chain: SerialChain,
-    lower_mm: ArrayLike,
-    upper_mm: ArrayLike,
+    region: Region,
     tolerance_mm: float,
     *,
     atol: float = 0.02,
@@ -137,18 +135,17 @@ def certify_coverage(
     time_limit_s: float = 60.0,
     compare: Comparison | None = None,
 ) -> Coverage:
-    """The share of a box where the position error is at most a tolerance.
+    """The share of a region where the position error is at most a tolerance.
 
     Args:
         network: Stacked networks.
         row: Which of them.
         chain: The arm.
-        lower_mm: Lower corner of the box [mm], shape (in,).
-        upper_mm: Upper corner of the box [mm], shape (in,).
+        region: The inputs that it is about.
         tolerance_mm: The tolerance [mm].
         atol: The bounds of the share end up this close.
         mixed: Cells that are neither good nor bad throughout end up with at most this share of the
-            box. The share itself needs no such limit; a drawing of the bad cells does.
+            region. The share itself needs no such limit; a drawing of the bad cells does.
         max_boxes: Cells to bound, at most.
         time_limit_s: Time to spend, at most [s].
         compare: What is compared; the first coordinates with the first inputs if None.
@@ -159,10 +156,10 @@ def certify_coverage(
     if not (np.isfinite(tolerance_mm) and tolerance_mm > 0):
         raise IksamplesError(f"the tolerance must be a positive length; got {tolerance_mm} mm.")
     began = time.perf_counter()
-    errors = ErrorOverBoxes(network.select([row]), chain, lower_mm, upper_mm, compare)
+    errors = ErrorOverBoxes(network.select([row]), chain, region, compare)
     slack = float(errors.slack_mm[0])
     cells = _Cells(errors)
-    low, high, weight = np.empty(0), np.empty(0), np.empty((0, len(errors.lower_mm)))
+    low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
         fresh_low, fresh_high, fresh_weight = cells.bound_new(
             lambda residual: _share_of_cells(residual, tolerance_mm, slack)
@@ -195,13 +192,18 @@ def certify_coverage(
 
 
 class _Cells:
-    """Cells that tile the box; the new ones wait at the end to be bounded."""
+    """Cells that tile the region; the new ones wait at the end to be bounded."""
 
     def __init__(self, errors: ErrorOverBoxes) -> None:
-        d = len(errors.lower_mm)
+        self.region = errors.region
+        n, d = self.region.lower.shape
         per_axis = _FIRST if d <= 3 else 2
+        while per_axis > 1 and n > 1 and n * per_axis**d > _FIRST**3:
+            per_axis //= 2
         axis = np.arange(per_axis) / per_axis
-        self.low = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
+        low = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
+        # Corners and edges are shares of the edges of the region's box that a cell is in.
+        self.part, self.low = np.repeat(np.arange(n), len(low)), np.tile(low, (n, 1))
         self.edge = np.full_like(self.low, 1.0 / per_axis)
         self.errors = errors
         self.bounded = 0
@@ -209,24 +211,26 @@ class _Cells:
 
     @property
     def volume(self) -> Floats:
-        """Each cell's share of the box."""
-        return np.prod(self.edge, axis=1)
+        """Each cell's share of the region."""
+        return np.array(self.region.shares[self.part] * np.prod(self.edge, axis=1))
 
     def corners_mm(self, mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
         """Lower and upper corners [mm] of some cells."""
-        size = self.errors.upper_mm - self.errors.lower_mm
-        low = self.errors.lower_mm + size * self.low[mask]
+        part = self.part[mask]
+        size = (self.region.upper - self.region.lower)[part]
+        low = self.region.lower[part] + size * self.low[mask]
         return low, low + size * self.edge[mask]
 
     def bound_new(
         self, bound: Callable[[Residual], tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats, Floats]:
         """Bounds the new cells."""
-        size = self.errors.upper_mm - self.errors.lower_mm
         parts = []
         for first in range(len(self.low) - self.new, len(self.low), 1024):
-            low, edge = self.low[first : first + 1024], self.edge[first : first + 1024]
-            centre = self.errors.lower_mm + size * (low + 0.5 * edge)
+            some = slice(first, first + 1024)
+            at, low, edge = self.part[some], self.low[some], self.edge[some]
+            size = (self.region.upper - self.region.lower)[at]
+            centre = self.region.lower[at] + size * (low + 0.5 * edge)
             which = np.zeros(len(low), int)
             residual = self.errors.residual(which, centre, 0.5 * size * edge)
             parts.append((*bound(residual), _weight(residual)))
@@ -244,7 +248,7 @@ class _Cells:
         order = np.argsort(-loss)[:_ROUND]
         chosen = order[loss[order] > 0.5 * allowed / len(loss)]
         rows = np.arange(len(chosen))
-        low, edge = self.low[chosen], self.edge[chosen]
+        part, low, edge = self.part[chosen], self.low[chosen], self.edge[chosen]
         axis = weight[chosen].argmax(axis=1)
         edge[rows, axis] *= 0.5
         twin = low.copy()
@@ -252,6 +256,7 @@ class _Cells:
         keep = np.ones(len(loss), bool)
         keep[chosen] = False
         kept = np.flatnonzero(keep)
+        self.part = np.concatenate([self.part[kept], part, part])
         self.low = np.concatenate([self.low[kept], low, twin])
         self.edge = np.concatenate([self.edge[kept], edge, edge])
         self.new = 2 * len(chosen)
