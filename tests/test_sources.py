@@ -54,3 +54,13 @@ def test_evaluation_does_not_depend_on_the_report():
     names = {path.parent.name for path in found}
     assert {"arm", "samples", "methods", "evaluation"} <= names
     assert not names & {"report", "tracking", "recording", "certify", "answer"}
+
+
+def test_nothing_is_imported_to_read_sources():
+    code = (
+        "import sys; from iksamples.sources import source_digest as d; before = set(sys.modules);"
+        "d('iksamples.training.step', 'iksamples.report.write', 'iksamples.tracking.track');"
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not [name for name in done.stdout.split() if not name.startswith("encodings")]

@@ -6,8 +6,10 @@ Snakemake follows the code of its rules and scripts, but not of a package they i
 import ast
 import hashlib
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
+
+
+_PACKAGE = Path(__file__).parent
 
 
 def source_digest(*modules: str) -> str:
@@ -48,12 +50,13 @@ def _collect(module: str, found: set[Path]) -> None:
 
 @cache
 def _path(module: str) -> Path | None:
-    """The file of a module, or None where the name is not a module (a class, say)."""
-    try:
-        spec = find_spec(module)
-    except ModuleNotFoundError:
-        return None
-    return Path(spec.origin) if spec and spec.origin else None
+    """The file of a module of this package, or None for a name that is not a module (a class, say).
+
+    From the name alone: asking Python where a module lies imports what is above it, and to ask
+    whether a class is one imports the class's module, with Lightning and torch behind it.
+    """
+    place = _PACKAGE.joinpath(*module.split(".")[1:])
+    return next((p for p in (place / "__init__.py", place.with_suffix(".py")) if p.is_file()), None)
 
 
 @cache
