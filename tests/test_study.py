@@ -1,18 +1,44 @@
 """The study file: what it accepts, and what it says when it does not."""
 
+import json
 import subprocess
-from pathlib import Path
+from datetime import date
 
 import pytest
-import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from iksamples.errors import IksamplesError
 from iksamples.study import Study, parse_study, read_study
+from iksamples.study.text import read_settings, typed
 
 
 BAD = [
     ({}, "'name' is missing."),
-    ({"name": "My Study"}, "'name' String should match pattern"),
+    ({"name": "My Study"}, "'name' should be lower-case letters, digits, - and _, the first a"),
+    ({"name": "x" * 61}, "'name' should have at most 60 characters"),
+    ({"name": 2024}, "'name' should be text; put it in quotes (found 2024)"),
+    ({"name": "x", "training": None}, "'training' should be a section with the keys optimizer,"),
+    ({"name": "x", "methods": ["cubic"]}, "'methods' should be a section of names"),
+    ({"name": "x", "methods": {"b": None}}, "'methods.b' should be a section with the keys kind,"),
+    (
+        {"name": "x", "methods": {"On Demand": {}}},
+        "the name 'On Demand' under 'methods' should be lower-case letters, digits and -, the",
+    ),
+    ({"name": "x", "methods": {"m" * 300: {}}}, "should have at most 60 characters"),
+    ({"name": "x", "methods": {"cache": {}}}, "'cache' is another folder of the results"),
+    ({"name": "x", "robot": {"limits_rad": {1: [-1, 1]}}}, "key 1 under 'robot.limits_rad' is no"),
+    ({"name": "x", "training": {"seeds": True}}, "'training.seeds' should be a valid integer"),
+    ({"name": "x", "training": {"seeds": "3"}}, "'training.seeds' should be a valid integer (fou"),
+    ({"name": "x", "training": {"seeds": 3.0}}, "'training.seeds' should be a valid integer (fou"),
+    ({"name": "x", "network": {"hidden": 16}}, "'network.hidden' should be a list such as [1, 2]"),
+    (
+        {"name": "x", "workspace": {"lower_mm": [1, 2]}},
+        "'workspace.lower_mm' has too few values (2",
+    ),
+    ({"name": "x", "workspace": {"lower_mm": [1, 2, 3, 4]}}, "should have at most 3 items"),
+    ({"name": "x", "tolerance": {"error_mm": float("inf")}}, "should be a finite number"),
+    ({"name": date(2024, 5, 1)}, "'name' is neither text nor number (2024-05-01); quote it."),
     ({"name": "x", "netwrok": {}}, "unknown key 'netwrok'; known keys here: name, title, robot,"),
     ({"name": "x", "network": {"hiden": [8]}}, "unknown key 'network.hiden'; known keys here: hid"),
     ({"name": "x", "network": {"activation": "swishy"}}, "'network.activation' should be 'relu'"),
@@ -64,17 +90,156 @@ def test_every_mistake_has_its_own_line():
     assert len(str(caught.value).splitlines()) == 2
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [("a: [1", "not a YAML file"), ("- 1\n- 2", "expected a mapping"), ("", "expected a mapping")],
-)
-def test_bad_files(tmp_path, content, message):
+def test_a_mistake_that_methods_inherit_is_said_once():
+    methods = {"a": {"network": {"hidden": [4]}}, "b": {"training": {"batch_size": 4}}}
+    with pytest.raises(IksamplesError) as caught:
+        parse_study({"name": "x", "training": {"epochs": 0}, "methods": methods})
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def merges(levels):
+    """A mapping that would have 9 ** levels entries if merges were written out."""
+    lines = ["a0: &a0 {k: 1}"]
+    for i in range(levels):
+        lines.append(f"a{i + 1}: &a{i + 1} {{<<: [{', '.join([f'*a{i}'] * 9)}], k{i}: 1}}")
+    return "\n".join(lines)
+
+
+def lists(levels):
+    lines = ["a0: &a0 [x, x]"]
+    lines += [f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(levels)]
+    return "\n".join([*lines, f"name: *a{levels}"])
+
+
+UNREADABLE = {
+    "open bracket": (b"a: [1", "not a YAML file (line 1: "),
+    "list": (b"- 1\n- 2", "expected a mapping of settings such as 'name: my-study', found a list"),
+    "nothing": (b"", "found nothing"),
+    "comment": (b"# nothing\n", "found nothing"),
+    "toml": (b'name = "y"\n', "found a value"),
+    "tab": (b"name: y\ntraining:\n\tseeds: 3\n", "not a YAML file (line 3: "),
+    "key twice": (
+        b"name: y\ntraining: {}\nname: z\n",
+        "'name' stands twice, on lines 1 and 3; keep",
+    ),
+    "key twice in a line": (
+        b"name: y\ntraining: {seeds: 3, seeds: 4}\n",
+        "'seeds' stands twice, on line",
+    ),
+    "key twice in JSON": (b'{"name": "y",\n "name": "z"}', "'name' stands twice, on lines 1 and 2"),
+    "two studies": (b"name: y\n---\nname: z\n", "line 2 begins a second study; a file holds one."),
+    "tag": (
+        b"name: !!python/object/apply:os.system [ls]\n",
+        "line 1: the tag tag:yaml.org,2002:py",
+    ),
+    "binary": (
+        b"name: !!binary aGVsbG8=\n",
+        "line 1: the tag tag:yaml.org,2002:binary is not read",
+    ),
+    "mapping as key": (b"? {a: 1}\n: 2\n", "line 1: a key is a plain name"),
+    "latin 1": ("name: étude\n".encode("latin-1"), "not a text file in UTF-8"),
+    "picture": (bytes(range(256)), "not a text file in UTF-8"),
+    "large": (b"name: y\ntitle: '" + b"x" * 300_000 + b"'\n", "over 200 kB is no study file"),
+    "digits": (
+        b"name: y\ntraining: {seeds: " + b"9" * 20_000 + b"}\n",
+        "a whole number of 20000 dig",
+    ),
+    "deep": (
+        b"name: y\ntitle: " + b"[" * 5000 + b"]" * 5000 + b"\n",
+        "sections inside sections wit",
+    ),
+    "circular": (b"name: y\nmethods: &a {b: *a}\n", "'methods' holds more than any study"),
+    "circular merge": (b"name: y\nmethods: &a {<<: *a}\n", "'<<' needs another mapping"),
+    "list bomb": (lists(9).encode(), "'name' holds more than any study; does it repeat itself?"),
+}
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+def test_a_file_that_is_no_study_is_refused_in_a_line(tmp_path, kind):
+    content, message = UNREADABLE[kind]
     path = tmp_path / "bad.yaml"
-    path.write_text(content)
-    with pytest.raises(IksamplesError, match=message):
+    path.write_bytes(content)
+    with pytest.raises(IksamplesError) as caught:
         read_study(path)
-    with pytest.raises(IksamplesError, match="cannot read"):
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(IksamplesError, match="cannot read the study file"):
         read_study(tmp_path / "nowhere.yaml")
+
+
+def test_merges_are_not_written_out(tmp_path):
+    path = tmp_path / "merges.yaml"
+    path.write_text(f"name: y\n{merges(40)}\n")
+    with pytest.raises(IksamplesError, match="unknown key 'a0'"):
+        read_study(path)
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("no", "no"), ("on", "on"), ("2024-05-01", "2024-05-01"), ("010", "010"), ("1:30", "1:30"),
+        ("0x10", "0x10"), ("3", 3), ("-3", -3), ("1_000", 1000), ("true", True), ("null", None),
+        ("", None), ("1e-3", 1e-3), ("1e-05", 1e-5), ("1.5E+3", 1500.0), (".5", 0.5), ("3.", 3.0),
+        ("'3'", "3"), ("0,5", "0,5"), ("2 mm", "2 mm"), ("1.2.3", "1.2.3"),
+    ],
+)  # fmt: skip
+def test_a_scalar_is_what_it_looks_like(tmp_path, written, value):
+    path = tmp_path / "one.yaml"
+    path.write_text(f"x: {written}\n")
+    found = read_settings(path)["x"]
+    assert (found, type(found)) == (value, type(value))
+    if not written.startswith("'"):
+        assert typed({"x": [written]}) == {"x": [value]}
+
+
+@given(st.floats(allow_nan=False) | st.integers(-(10**17), 10**17) | st.booleans() | st.none())
+def test_what_json_writes_is_read_back(tmp_path_factory, value):
+    path = tmp_path_factory.getbasetemp() / "value.json"
+    path.write_text(json.dumps({"x": [value]}).replace("Infinity", ".inf"))
+    found = read_settings(path)["x"][0]
+    assert (found, type(found)) == (value, type(value))
+
+
+GOOD = {
+    "names that YAML 1.1 takes for something else": (
+        b"name: no\nmethods: {on: {kind: cubic}, yes: {kind: cubic}}\n"
+        b"robot: {limits_rad: {1: [-1, 1]}}\n",
+        {"name": "no", "methods": {"on": {"kind": "cubic"}, "yes": {"kind": "cubic"}},
+         "robot": {"limits_rad": {"1": (-1, 1)}}},
+    ),
+    "merge": (
+        b"name: y\nnetwork: &n {hidden: [8], activation: tanh}\n"
+        b"methods: {b: {network: {<<: *n, hidden: [4]}}}\n",
+        {"name": "y", "network": {"hidden": [8], "activation": "tanh"},
+         "methods": {"b": {"network": {"hidden": [4], "activation": "tanh"}}}},
+    ),
+    "byte order mark": (b"\xef\xbb\xbfname: y\n", {"name": "y"}),
+    "UTF-16": ("\ufeffname: y\n".encode("utf-16-le"), {"name": "y"}),
+    "CRLF": (b"name: y\r\ntraining: {seeds: 3}\r\n", {"name": "y", "training": {"seeds": 3}}),
+    "JSON": (b'{"name": "y", "training": {"seeds": 3}}', {"name": "y", "training": {"seeds": 3}}),
+    "title": ("name: y\ntitle: Études ≤ 2 mm".encode(), {"name": "y", "title": "Études ≤ 2 mm"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_what_is_meant_is_read(tmp_path, kind):
+    content, settings = GOOD[kind]
+    path = tmp_path / "good.yaml"
+    path.write_bytes(content)
+    assert read_study(path) == parse_study(settings)
+
+
+def test_files_are_laid_over_one_another(tmp_path):
+    (tmp_path / "a.yaml").write_text("name: y\ntraining: {seeds: 3, epochs: 7}\n")
+    (tmp_path / "b.yaml").write_text("training: {seeds: 4}\n")
+    study = read_study(
+        tmp_path / "a.yaml", tmp_path / "b.yaml", changes={"network": {"hidden": []}}
+    )
+    assert (study.training.seeds, study.training.epochs, study.network.hidden) == (4, 7, [])
 
 
 def test_the_papers_study_file_says_what_the_defaults_say():
@@ -86,7 +251,7 @@ def test_the_papers_study_file_says_what_the_defaults_say():
 def test_digest_follows_the_settings_that_numbers_depend_on():
     study = read_study("config/config.yaml")
     assert study.digest() == Study.model_validate(study.model_dump()).digest()
-    settings = yaml.safe_load(Path("config/config.yaml").read_text())
+    settings = read_settings("config/config.yaml")
     for change, same in (
         ({"title": "else"}, True),
         ({"tracking": {"uri": "sqlite:///else.db"}}, True),

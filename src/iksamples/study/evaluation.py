@@ -4,16 +4,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from iksamples.study.section import Section, Vector3
+from iksamples.study.section import Name, Pair, Section, Vector3
 
 
 class DoubleRectangle(Section):
     """Two axis-parallel rectangles at a low and a high height (paper, Figs. 4 and 5)."""
 
     shape: Literal["double_rectangle"] = Field(description="Kind of path.")
-    lower_mm: tuple[float, float] = Field((30.0, 30.0), description="Lower x and y [mm].")
-    upper_mm: tuple[float, float] = Field((70.0, 70.0), description="Upper x and y [mm].")
-    heights_mm: tuple[float, float] = Field((10.0, 50.0), description="The two heights z [mm].")
+    lower_mm: Pair = Field((30.0, 30.0), description="Lower x and y [mm].")
+    upper_mm: Pair = Field((70.0, 70.0), description="Upper x and y [mm].")
+    heights_mm: Pair = Field((10.0, 50.0), description="The two heights z [mm].")
     waypoints: int = Field(240, ge=8, le=100_000, description="Points along both rectangles.")
 
 
@@ -35,7 +35,7 @@ Path3D = Annotated[DoubleRectangle | Heart, Field(discriminator="shape")]
 class Evaluation(Section):
     """Where the error is measured, always through the forward kinematics."""
 
-    paths: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")], Path3D] = Field(
+    paths: dict[Name, Path3D] = Field(
         {
             "rectangles": DoubleRectangle(shape="double_rectangle"),
             "heart": Heart(shape="heart"),

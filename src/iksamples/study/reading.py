@@ -4,13 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from iksamples.errors import IksamplesError
 from iksamples.study.evaluation import DoubleRectangle, Heart
-from iksamples.study.section import Section
-from iksamples.study.study import Study
+from iksamples.study.section import NAMES, Section
+from iksamples.study.study import Study, overlay
+from iksamples.study.text import read_settings
+
+
+_MOST_SETTINGS = 20_000
+_DEEPEST = 20
 
 
 def parse_study(settings: dict[str, Any], origin: str = "study") -> Study:
@@ -24,48 +28,112 @@ def parse_study(settings: dict[str, Any], origin: str = "study") -> Study:
         IksamplesError: One line for each thing that is wrong: the key, the value and what is
             allowed there.
     """
+    if wrong := _not_settings(settings):
+        raise IksamplesError(f"{origin}: {wrong}")
     try:
         return Study.model_validate(settings)
     except ValidationError as error:
-        lines = [f"{origin}: {_describe(item)}" for item in error.errors()]
+        lines = [f"{origin}: {_describe(item)}" for item in _own(error.errors())]
         raise IksamplesError("\n".join(lines)) from None
 
 
-def read_study(path: str | Path) -> Study:
+def read_study(*paths: str | Path, changes: dict[str, Any] | None = None) -> Study:
     """Reads a study file (YAML or JSON).
 
+    Args:
+        *paths: The file; of several, each is laid over those before it.
+        changes: Settings that are laid over the files'.
+
     Raises:
-        IksamplesError: The file cannot be read or does not describe a study.
+        IksamplesError: A file cannot be read or does not describe a study.
     """
-    try:
-        settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise IksamplesError(f"{path}: cannot read the study file ({error.strerror}).") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise IksamplesError(f"{path}: not a YAML file ({reason}).") from None
-    if not isinstance(settings, dict):
-        raise IksamplesError(f"{path}: expected a mapping of settings, found nothing of the kind.")
-    return parse_study(settings, str(path))
+    settings: dict[str, Any] = {}
+    for layer in (*map(read_settings, paths), changes or {}):
+        settings = overlay(settings, layer)
+    return parse_study(settings, ", ".join(map(str, paths)))
 
 
 _SHAPES: dict[str, type[Section]] = {"double_rectangle": DoubleRectangle, "heart": Heart}
 
 
+def _not_settings(settings: Any) -> str:
+    """What in settings is no setting at all: a key that is no text, a date, no end."""
+    n = 0
+    waiting: list[tuple[tuple[Any, ...], Any]] = [((), settings)]
+    while waiting:
+        place, value = waiting.pop()
+        n += 1
+        if len(place) > _DEEPEST or n > _MOST_SETTINGS:
+            return f"'{_shown(str(place[0]))}' holds more than any study; does it repeat itself?"
+        if isinstance(value, dict):
+            for key, one in value.items():
+                if not isinstance(key, str):
+                    return f"the key {key!r} under '{_dotted(place)}' is no text; quote it."
+                waiting.append(((*place, key), one))
+        elif isinstance(value, list | tuple):
+            waiting += [((*place, i), one) for i, one in enumerate(value)]
+        elif not (value is None or isinstance(value, str | int | float)):
+            return f"'{_dotted(place)}' is neither text nor number ({value}); quote it."
+    return ""
+
+
+def _own(items: list[Any]) -> list[Any]:
+    """The errors without those that a method only inherits from the study's own sections."""
+    said = {(item["loc"], repr(item["input"])) for item in items}
+    return [
+        item
+        for item in items
+        if item["loc"][:1] != ("methods",) or (item["loc"][2:], repr(item["input"])) not in said
+    ]
+
+
 def _describe(item: Any) -> str:
     """One validation error as a line for people."""
     # A path's shape stands in the location of an error, though the user never wrote it as a key.
-    key = ".".join(str(part) for part in item["loc"] if part not in _SHAPES) or "study"
-    if item["type"] == "extra_forbidden":
+    location = tuple(part for part in item["loc"] if part not in _SHAPES)
+    kind, key = item["type"], _dotted(location)
+    if location[-1:] == ("[key]",):
+        where = _dotted(location[:-2])
+        return f"the name '{_shown(location[-2])}' under '{where}' {_expected(item)}."
+    if kind == "extra_forbidden":
         return f"unknown key '{key}'; known keys here: {', '.join(_keys_at(item['loc'][:-1]))}."
-    if item["type"] == "missing":
+    if kind == "missing" and isinstance(location[-1], int):
+        return f"'{_dotted(location[:-1])}' has too few values ({location[-1]})."
+    if kind == "missing":
         return f"'{key}' is missing."
+    if not location:  # a rule between sections, which names its keys itself
+        return f"{_expected(item)}."
+    found = "nothing" if item["input"] is None else _shown(json.dumps(item["input"], default=str))
+    return f"'{key}' {_expected(item)} (found {found})."
+
+
+def _expected(item: Any) -> str:
+    """What should stand there instead."""
+    match item["type"]:
+        case "model_type" | "model_attributes_type":
+            return f"should be a section with the keys {', '.join(_keys_at(item['loc']))}"
+        case "dict_type":
+            return "should be a section of names and what each is"
+        case "list_type" | "tuple_type":
+            return "should be a list such as [1, 2]"
+        case "string_type":
+            return "should be text; put it in quotes"
+        case "string_pattern_mismatch" if item["ctx"]["pattern"] in NAMES:
+            return f"should be {NAMES[item['ctx']['pattern']]}"
+        case "string_too_long":
+            return f"should have at most {item['ctx']['max_length']} characters"
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    if not item["loc"]:  # a rule between sections, which names its keys itself
-        return f"{message}."
-    shown = json.dumps(item["input"], default=str)
-    shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
-    return f"'{key}' {message} (found {shown})."
+    return message.replace("Tuple should", "should").replace("List should", "should")
+
+
+def _dotted(location: tuple[Any, ...]) -> str:
+    return ".".join(_shown(str(part)) for part in location) or "study"
+
+
+def _shown(text: str) -> str:
+    """A text that fits a line of a message."""
+    text = text if text.isprintable() else json.dumps(text)[1:-1]
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _keys_at(location: tuple[Any, ...]) -> list[str]:

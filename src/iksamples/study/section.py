@@ -1,13 +1,30 @@
 """What every section of the study file shares."""
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 
-Vector3 = tuple[float, float, float]
-Limits = tuple[float, float]
+# A tuple is written as a list; its numbers stay strict.
+Pair = Annotated[tuple[float, float], Strict(False)]
+Vector3 = Annotated[tuple[float, float, float], Strict(False)]
+Limits = Pair
+
+_STUDY, _INSIDE = r"^[a-z0-9][a-z0-9_-]*$", r"^[a-z][a-z0-9-]*$"
+NAMES = {
+    _STUDY: "lower-case letters, digits, - and _, the first a letter or digit",
+    _INSIDE: "lower-case letters, digits and -, the first a letter",
+}
+"""Pattern of a name that becomes a folder or file -> in words."""
+
+StudyName = Annotated[str, Field(pattern=_STUDY, max_length=60)]
+Name = Annotated[str, Field(pattern=_INSIDE, max_length=60)]
 
 
 class Section(BaseModel):
-    """A part of the study file; an unknown key is an error, and nothing changes once read."""
+    """A part of the study file; an unknown key is an error, and nothing changes once read.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    Strict: a boolean or a text is no number, and 3.0 is no whole one.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -2,19 +2,22 @@
 
 import hashlib
 import json
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Field, model_validator
 
 from iksamples.study.evaluation import Bounds, Calibration, Evaluation, Tolerance
 from iksamples.study.robot import Robot, Workspace
 from iksamples.study.samples import Samples
-from iksamples.study.section import Section
+from iksamples.study.section import Name, Section, StudyName
 from iksamples.study.training import Method, Network, Training
 
 
 NETWORK = "network"
 """Name of the method that a study's own ``network`` and ``training`` sections describe."""
+
+_FOLDERS = ("benchmarks", "cache", "fresh", "logs", "recordings", "samples")
+"""What lies in the results beside the folders of the methods."""
 
 
 class Tracking(Section):
@@ -29,18 +32,14 @@ class Tracking(Section):
 class Study(Section):
     """A study: one arm, one workspace, several sample sizes, many seeds."""
 
-    name: str = Field(
-        pattern=r"^[a-z0-9][a-z0-9_-]*$",
-        max_length=60,
-        description="Name of the study's folders under results/ and reports/.",
-    )
-    title: str = Field("", description="One line for the head of the report.")
+    name: StudyName = Field(description="Name of the study's folders under results/ and reports/.")
+    title: str = Field("", max_length=200, description="One line for the head of the report.")
     robot: Robot = Robot()
     workspace: Workspace = Workspace()
     samples: Samples = Samples()
     network: Network = Network()
     training: Training = Training()
-    methods: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")], Method] = Field(
+    methods: dict[Name, Method] = Field(
         {}, description="Further methods to compare on the same samples, by name."
     )
     evaluation: Evaluation = Evaluation()
@@ -57,7 +56,7 @@ class Study(Section):
         if not isinstance(methods, dict):
             return data
         own = {key: data[key] for key in ("network", "training") if key in data}
-        full = {name: _own_budget(_overlay(own, one), one) for name, one in methods.items()}
+        full = {name: _own_budget(overlay(own, one), one) for name, one in methods.items()}
         return {**data, "methods": full}
 
     @model_validator(mode="after")
@@ -66,6 +65,11 @@ class Study(Section):
             raise ValueError(
                 f"methods: '{NETWORK}' is the study's own network; choose another name"
             )
+        for name in _FOLDERS:
+            if name in self.methods:
+                raise ValueError(
+                    f"methods: '{name}' is another folder of the results; choose another name"
+                )
         for name in ("workspace", "cube"):
             if name in self.evaluation.paths:
                 raise ValueError(
@@ -132,11 +136,11 @@ class Study(Section):
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _overlay(base: Any, change: Any) -> Any:
+def overlay(base: Any, change: Any) -> Any:
     """Settings with some of them replaced, section by section."""
     if not isinstance(base, dict) or not isinstance(change, dict):
         return change
-    return {**base, **{key: _overlay(base.get(key), value) for key, value in change.items()}}
+    return {**base, **{key: overlay(base.get(key), value) for key, value in change.items()}}
 
 
 def _own_budget(method: Any, change: Any) -> Any:
