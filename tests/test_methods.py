@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import differential_evolution
 
 from iksamples.arm.chain import SerialChain
-from iksamples.arm.closed_form import inverse
+from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.certify.lookup import TableCells, certify_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
@@ -43,7 +43,7 @@ def with_points(samples, positions_mm, joints, label="mine"):
 def on_axes(study, chain, *axes_mm, function=None):
     """Samples at all crossings; joint values of a function, or of the arm."""
     positions = np.stack(np.meshgrid(*axes_mm, indexing="ij"), axis=-1).reshape(-1, 3)
-    joints = function(positions) if function else inverse(study.robot, chain, positions).joints
+    joints = function(positions) if function else yaw_pitch_pitch(chain, positions)
     return with_points(grid_samples(study, chain, 2), positions, joints)
 
 
@@ -192,9 +192,7 @@ def test_cubic_is_a_not_a_knot_spline_along_each_axis(study, chain, rng):
 
 def test_rbf_solves_the_saddle_point_system(study, chain, rng):
     points, new = uniform(study, rng, 40), uniform(study, rng, 5)
-    samples = with_points(
-        grid_samples(study, chain, 2), points, inverse(study.robot, chain, points).joints
-    )
+    samples = with_points(grid_samples(study, chain, 2), points, yaw_pitch_pitch(chain, points))
 
     def kernel(a, b):
         return np.linalg.norm(a[:, None] - b[None], axis=-1) ** 3
@@ -219,9 +217,7 @@ def matern(a, b, length):
 
 def test_gaussian_process_is_the_posterior_mean_at_the_likeliest_kernel(study, chain, rng):
     points, new = uniform(study, rng, 30), uniform(study, rng, 5)
-    samples = with_points(
-        grid_samples(study, chain, 2), points, inverse(study.robot, chain, points).joints
-    )
+    samples = with_points(grid_samples(study, chain, 2), points, yaw_pitch_pitch(chain, points))
     kernel = gaussian_process.regressor(samples).kernel_
     variance, length = kernel.k1.constant_value, kernel.k2.length_scale
     inputs = (points - points.min(axis=0)) / np.ptp(points, axis=0)
@@ -378,7 +374,7 @@ def test_no_table_exceeds_its_bounds(spread, study, chain, rng):
         ]
 
         def random(x):
-            exact = inverse(study.robot, chain, np.clip(x, 20, 60)).joints
+            exact = yaw_pitch_pitch(chain, np.clip(x, 20, 60))
             return exact + spread * rng.normal(size=(len(x), 3))
 
         samples = on_axes(study, chain, *axes, function=random)

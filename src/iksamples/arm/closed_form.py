@@ -1,92 +1,144 @@
-"""Analytic inverse kinematics with an explicit branch.
+"""Closed-form inverse kinematics of the arm of a drawing robot: a yaw and two parallel pitches."""
 
-The one arm-specific piece of the package. A solver takes its lengths from the chain, refuses a
-chain it does not fit, and answers on one named branch; another arm registers a solver of its own in
-``SOLVERS``.
-"""
-
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError
-from iksamples.study import Robot
+
+
+Elbow = Literal["negative", "positive"]
 
 
 @dataclass(frozen=True)
-class Solution:
-    """What an inverse kinematics answers.
+class _Plane:
+    """The arm in the plane that turns with the yaw, all joints at zero.
 
-    Attributes:
-        joints: Joint values [rad], shape (points, joints); NaN where the arm cannot reach.
-        reachable: Whether the arm's links can reach the point at all, whatever its joint limits,
-            shape (points,).
+    A vector in the plane is (along ``forward``, along the yaw axis); angles grow from the first to
+    the second, which is the positive sense of the shoulder.
     """
 
-    joints: Floats
-    reachable: NDArray[np.bool_]
+    basis: Floats  # forward, left and up in the base frame, as rows
+    shoulder: Floats  # from the yaw axis [mm], shape (2,)
+    upper: Floats  # from shoulder to elbow [mm], shape (2,)
+    fore: Floats  # from elbow to tool [mm], shape (2,)
+    left_mm: float  # how far the tool is beside the plane through the yaw axis
+    elbow_sense: float  # 1 where the elbow turns as the shoulder does, -1 where against it
 
 
-def yaw_pitch_pitch(chain: SerialChain, positions_mm: ArrayLike, elbow: str) -> Solution:
-    """Closed form for a vertical yaw joint and two parallel pitch joints in a plane through it.
+def fits_yaw_pitch_pitch(chain: SerialChain) -> bool:
+    """Whether `yaw_pitch_pitch` solves the chain."""
+    return _plane(chain) is not None
+
+
+def yaw_pitch_pitch(
+    chain: SerialChain,
+    positions_mm: ArrayLike,
+    elbow: Elbow | None = None,
+    home: ArrayLike | None = None,
+) -> Floats:
+    """Closed form for a yaw joint and two pitch joints parallel to each other and across it.
 
     The plane of the arm turns with the yaw; in it, the shoulder, the elbow and the tip form a
     triangle whose third side is known, and the law of cosines gives the elbow (Spong, Hutchinson
-    and Vidyasagar, *Robot Modeling and Control*, sec. 5.3). The arm reaches forward (positive
-    radius), so that the sign of the elbow angle alone picks the branch.
+    and Vidyasagar, *Robot Modeling and Control*, sec. 5.3). Any pose of the base, sense of an axis,
+    offset between the axes and length of link will do. A point is reached in up to four ways: the
+    elbow bends to either side, and the arm faces the point or reaches over its back. The arm faces
+    as it does at home, or where that does not tell it looks along the base's x axis.
 
     Args:
-        chain: The arm: at zero its links stand upright above the origin.
+        chain: The arm.
         positions_mm: Tool centre points wanted [mm], shape (points, 3).
-        elbow: ``"negative"`` or ``"positive"``: sign of the elbow angle.
+        elbow: ``"negative"`` or ``"positive"``: how the elbow bends, away from stretched, about its
+            axis; None: as at home.
+        home: Joint values [rad] that say how the arm faces and bends, shape (3,); None: the middle
+            of the joint limits.
+
+    Returns:
+        Joint values [rad], shape (points, 3), whole turns away where that is inside the limits; NaN
+        where the links are too short or too long for the point.
 
     Raises:
         IksamplesError: The chain is not of this kind.
     """
-    shoulder_mm, upper_mm, fore_mm = _upright_lengths(chain)
-    x, y, z = np.asarray(positions_mm, float).T
-    radius, height = np.hypot(x, y), z - shoulder_mm
+    plane = _plane(chain)
+    if plane is None:
+        raise IksamplesError(
+            "robot.inverse: 'yaw-pitch-pitch' needs three revolute joints, a yaw and across it two "
+            f"parallel pitches; this chain ({', '.join(chain.joint_names)}) is different, so say "
+            "newton."
+        )
+    middle = np.where(np.isfinite(chain.lower + chain.upper), (chain.lower + chain.upper) / 2, 0.0)
+    posture = middle if home is None else np.asarray(home, float)
+    ahead, bend_at_home = _posture(plane, posture)
+    if elbow is None:
+        elbow = "negative" if bend_at_home < 0 else "positive"
+
+    relative = np.asarray(positions_mm, float) - chain.points_mm[0]
+    x, y, z = plane.basis @ relative.T
+    reach_squared = np.hypot(x, y) ** 2 - plane.left_mm**2
+    forward = ahead * np.sqrt(np.where(reach_squared >= 0, reach_squared, np.nan))
+    radius, height = forward - plane.shoulder[0], z - plane.shoulder[1]
+    upper_mm, fore_mm = np.hypot(*plane.upper), np.hypot(*plane.fore)
     cosine = (radius**2 + height**2 - upper_mm**2 - fore_mm**2) / (2 * upper_mm * fore_mm)
     # A point on the boundary may miss it by a rounding error.
-    reachable = np.abs(cosine) <= 1 + 1e-12
-    sign = -1.0 if elbow == "negative" else 1.0
-    bend = sign * np.arccos(np.where(reachable, np.clip(cosine, -1, 1), np.nan))
-    # Both pitch axes point along -y, so that a positive angle leans the arm back.
-    lean = -np.arctan2(radius, height)
-    shoulder = lean - np.arctan2(fore_mm * np.sin(bend), upper_mm + fore_mm * np.cos(bend))
-    yaw = np.where(reachable, np.arctan2(y, x), np.nan)
-    return Solution(np.stack([yaw, shoulder, bend], axis=-1), reachable)
+    cosine = np.where(np.abs(cosine) <= 1 + 1e-12, np.clip(cosine, -1, 1), np.nan)
+    bend = (-1.0 if elbow == "negative" else 1.0) * np.arccos(cosine)
 
-
-def _upright_lengths(chain: SerialChain) -> tuple[float, float, float]:
-    """Shoulder height, upper arm and forearm [mm] of an upright yaw-pitch-pitch chain."""
-    up, across = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
-    points = np.vstack([chain.points_mm, chain.tip_mm])
-    fits = (
-        chain.joint_kinds == ("revolute",) * 3
-        and np.allclose(chain.axes, [up, across, across])
-        and np.allclose(points[:, :2], 0.0)
-        and np.all(np.diff(points[1:, 2]) > 0)
+    turn = plane.elbow_sense * bend
+    right, up = plane.upper / upper_mm
+    lean = np.arctan2(right * height - up * radius, right * radius + up * height)
+    joints = np.stack(
+        [
+            np.arctan2(y, x) - np.arctan2(plane.left_mm, forward),
+            lean - np.arctan2(fore_mm * np.sin(turn), upper_mm + fore_mm * np.cos(turn)),
+            bend - _bend_at_zero(plane),
+        ],
+        axis=-1,
     )
-    if not fits:
-        raise IksamplesError(
-            "robot.inverse: 'yaw-pitch-pitch' needs three revolute joints, a yaw about +z and two "
-            "pitches about -y, whose links stand upright above the origin at zero; this chain "
-            f"({', '.join(chain.joint_names)}) is different."
-        )
-    shoulder, elbow, tip = points[1:, 2]
-    return float(shoulder), float(elbow - shoulder), float(tip - elbow)
+    joints[np.isnan(cosine)] = np.nan
+    turned = joints - 2 * np.pi * np.round((joints - middle) / (2 * np.pi))
+    return np.where((turned >= chain.lower) & (turned <= chain.upper), turned, joints)
 
 
-Solver = Callable[[SerialChain, ArrayLike, str], Solution]
+def _plane(chain: SerialChain) -> _Plane | None:
+    """The plane of the arm; None where the chain is of another kind."""
+    if chain.joint_kinds != ("revolute",) * 3:
+        return None
+    yaw, shoulder, elbow = chain.axes
+    if abs(yaw @ shoulder) > 1e-9 or np.linalg.norm(np.cross(shoulder, elbow)) > 1e-9:
+        return None
+    basis = np.stack([np.cross(yaw, shoulder), -shoulder, yaw])
+    knots = (np.vstack([chain.points_mm[1:], chain.tip_mm]) - chain.points_mm[0]) @ basis.T
+    in_plane = knots[:, [0, 2]]
+    links = np.diff(in_plane, axis=0)
+    if np.min(np.hypot(*links.T)) < 1e-9:
+        return None
+    return _Plane(basis, in_plane[0], links[0], links[1], knots[2, 1], np.sign(shoulder @ elbow))
 
-SOLVERS: dict[str, Solver] = {"yaw-pitch-pitch": yaw_pitch_pitch}
-"""Name in the study file (``robot.inverse``) -> solver."""
+
+def _bend_at_zero(plane: _Plane) -> float:
+    """Angle about the elbow's axis between the links where the elbow is at zero [rad]."""
+    (a, b), (c, d) = plane.upper, plane.fore
+    return plane.elbow_sense * float(np.arctan2(a * d - b * c, a * c + b * d))
 
 
-def inverse(robot: Robot, chain: SerialChain, positions_mm: ArrayLike) -> Solution:
-    """Inverse kinematics as the study names it."""
-    return SOLVERS[robot.inverse](chain, positions_mm, robot.elbow)
+def _posture(plane: _Plane, joints: Floats) -> tuple[float, float]:
+    """Which way the arm faces at some joints (1 ahead, -1 back), and how its elbow bends [rad]."""
+    _, lean, angle = joints
+    bend = (_bend_at_zero(plane) + angle + np.pi) % (2 * np.pi) - np.pi
+    (a, b), (c, d) = plane.upper, plane.fore
+    total = lean + plane.elbow_sense * angle
+    forward = (
+        plane.shoulder[0]
+        + a * np.cos(lean) - b * np.sin(lean)
+        + c * np.cos(total) - d * np.sin(total)
+    )  # fmt: skip
+    length = np.hypot(a, b) + np.hypot(c, d)
+    if abs(forward) < 1e-6 * length:  # upright: along the base's x axis, or else its y or z axis
+        ahead = plane.basis[0]
+        forward = ahead[np.argmax(np.abs(ahead))]
+    return float(np.sign(forward)), float(bend)

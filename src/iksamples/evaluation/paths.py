@@ -37,7 +37,7 @@ def require_reachable(study: Study, chain: SerialChain) -> None:
     """
     for name, path in study.evaluation.paths.items():
         reach(study, chain, waypoints_mm(path)).require_usable(
-            chain, f"evaluation.paths.{name}", "Move the path or make it smaller."
+            f"evaluation.paths.{name}", "Move the path or make it smaller."
         )
 
 

@@ -1,7 +1,7 @@
 """The exact inverse kinematics: the reference that no method can beat."""
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.closed_form import inverse
+from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
@@ -14,6 +14,6 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     """
 
     def answer(positions_mm: Floats) -> Floats:
-        return inverse(study.robot, chain, positions_mm).joints
+        return yaw_pitch_pitch(chain, positions_mm, study.robot.elbow)
 
     return Single(answer)

@@ -7,7 +7,7 @@ import pandas as pd
 
 from iksamples.answer.curves import Curve, fit_published, fit_seeds
 from iksamples.answer.statistics import draws
-from iksamples.arm.closed_form import inverse
+from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.evaluation.errors import send
 from iksamples.paper.audit import input_jacobian, scale_mm
 from iksamples.paper.claims import judge_claims
@@ -67,7 +67,7 @@ def gather(data: ReportData) -> Evidence:
     study, chain = data.study, data.chain
     of_label = {cell.label: cell for cell in cells(study, data.results)}
     points = region_points(study, chain, _POINTS)
-    angles = inverse(study.robot, chain, points).joints
+    angles = yaw_pitch_pitch(chain, points, study.robot.elbow)
     jacobians = np.abs(chain.jacobian_mm(angles))
     sides = np.subtract(study.workspace.upper_mm, study.workspace.lower_mm)
     normalised = jacobians * np.ptp(angles, axis=0) / sides[:, None]

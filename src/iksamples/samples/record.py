@@ -67,7 +67,6 @@ def samples_at(
     answer = reach(study, chain, points)
     if study.samples.unreachable == "error":
         answer.require_usable(
-            chain,
             f"{label} of the workspace",
             "Move the workspace, widen robot.limits_rad, or set samples.unreachable: mask.",
         )
@@ -219,7 +218,7 @@ def require_workspace(study: Study, chain: SerialChain) -> None:
         box = study.workspace
         lattice = designs.full_grid(box.lower_mm, box.upper_mm, _LATTICE)
         reach(study, chain, lattice).require_usable(
-            chain, "The workspace", "Move it, or set samples.unreachable: mask."
+            "The workspace", "Move it, or set samples.unreachable: mask."
         )
 
 
@@ -244,7 +243,7 @@ def region_points(study: Study, chain: SerialChain, n: int) -> Floats:
     )
     answer = reach(study, chain, points)
     if study.samples.unreachable == "error":
-        answer.require_usable(chain, "The workspace", "Move it, or set samples.unreachable: mask.")
+        answer.require_usable("The workspace", "Move it, or set samples.unreachable: mask.")
     return points[answer.usable]
 
 

@@ -1,0 +1,285 @@
+"""Inverse kinematics on one branch: the joints that label an input, and if they can be used."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iksamples.arm import newton
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.closed_form import Elbow, fits_yaw_pitch_pitch, yaw_pitch_pitch
+from iksamples.arm.target import Target
+from iksamples.errors import IksamplesError
+
+
+Flags = NDArray[np.bool_]
+Method = Literal["auto", "yaw-pitch-pitch", "newton"]
+
+POSITION_MM = 1e-6
+"""A label puts the tool within this of where it is wanted [mm]."""
+ANGLE_RAD = 1e-9
+"""A label turns the tool to within this of how it is wanted [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The joints that answer some inputs, and what can be said about each.
+
+    Attributes:
+        chain: The arm.
+        target: What an input asks of the tool.
+        x: The inputs [mm or rad], shape (points, inputs).
+        home: The posture that names the branch [rad or mm], shape (joints,), or None.
+        locked: Joints that stay at home, by index.
+        joints: Joint values on the one branch [rad or mm], shape (points, joints); NaN out of
+            reach.
+        in_reach: The tool is where it is wanted, shape (points,).
+        in_limits: In reach and inside the joint limits, shape (points,).
+        smallest_singular_mm: Smallest singular value of the Jacobian of what is asked for [mm/rad]
+            (`newton.task_jacobian_mm`), 0 out of reach, shape (points,).
+        singular: In reach, and that singular value is below the threshold, shape (points,).
+    """
+
+    chain: SerialChain
+    target: Target
+    x: Floats
+    home: Floats | None
+    locked: tuple[int, ...]
+    joints: Floats
+    in_reach: Flags
+    in_limits: Flags
+    smallest_singular_mm: Floats
+    singular: Flags
+
+    @property
+    def usable(self) -> Flags:
+        """In reach, inside the limits and not singular, shape (points,)."""
+        return self.in_limits & ~self.singular
+
+    @property
+    def limit_distances(self) -> Floats:
+        """How far each joint is inside its nearer limit [rad or mm], shape (points, joints)."""
+        return np.minimum(self.joints - self.chain.lower, self.chain.upper - self.joints)
+
+    def summary(self) -> dict[str, int]:
+        """Number of points of each kind."""
+        return {
+            "points": len(self.x),
+            "out_of_reach": int(np.sum(~self.in_reach)),
+            "outside_joint_limits": int(np.sum(self.in_reach & ~self.in_limits)),
+            "singular": int(np.sum(self.in_limits & self.singular)),
+            "usable": int(np.sum(self.usable)),
+        }
+
+    def why_not(self, point: int) -> str:
+        """In words, why a point is not usable."""
+        where = _in_words(self.target, self.x[point])
+        if not self.in_reach[point]:
+            return f"{where} is out of reach"
+        if not self.in_limits[point]:
+            worst = int(np.argmin(self.limit_distances[point]))
+            low, high, unit = (
+                self.chain.lower[worst],
+                self.chain.upper[worst],
+                self.chain.joint_units[worst],
+            )
+            return (
+                f"{where} needs {self.chain.joint_names[worst]} = "
+                f"{self.joints[point, worst]:.3f} {unit}, outside its limits "
+                f"[{low:.3f}, {high:.3f}]"
+            )
+        return f"{where} is singular"
+
+    def require_usable(self, what: str, remedy: str) -> None:
+        """Stops where a point is not usable.
+
+        Args:
+            what: What the points are, for the message.
+            remedy: What the user can do.
+
+        Raises:
+            IksamplesError: Names the first such point, and why.
+        """
+        bad = np.flatnonzero(~self.usable)
+        if bad.size:
+            raise IksamplesError(
+                f"{what}: {bad.size} of {len(self.x)} points cannot be used; "
+                f"{self.why_not(int(bad[0]))}. {remedy}"
+            )
+
+
+def solve(
+    chain: SerialChain,
+    target: Target,
+    x: ArrayLike,
+    *,
+    method: Method = "auto",
+    elbow: Elbow | None = None,
+    home: ArrayLike | None = None,
+    locked: Sequence[str] = (),
+    min_singular_value_mm: float = 0.0,
+) -> Solution:
+    """The joints that do what the inputs ask, on one branch: a function of the input.
+
+    Args:
+        chain: The arm.
+        target: What an input asks of the tool.
+        x: Inputs [mm or rad], shape (points, inputs).
+        method: ``"yaw-pitch-pitch"``: that closed form, for positions alone; ``"newton"``: followed
+            from home; ``"auto"``: the closed form where it applies.
+        elbow: Branch of the closed form; None: as at home.
+        home: The posture that names the branch [rad or mm], shape (joints,). The closed form does
+            without; an arm with joints to spare stays as near to it as it can.
+        locked: Joints that stay at home, by name.
+        min_singular_value_mm: Threshold of `Solution.singular` [mm/rad].
+
+    Raises:
+        IksamplesError: The method does not fit, or home is missing or no posture to start from.
+    """
+    x = np.atleast_2d(np.asarray(x, float))
+    for name in locked:
+        if name not in chain.joint_names:
+            raise IksamplesError(
+                f"robot.locked: no joint '{name}'; the joints are {', '.join(chain.joint_names)}."
+            )
+    held = tuple(chain.joint_names.index(name) for name in locked)
+    start = None if home is None else _checked_home(chain, home)
+    plain = target.coordinates == ("x", "y", "z") and target.orientation == "free" and not held
+    if method == "yaw-pitch-pitch" or (method == "auto" and plain and fits_yaw_pitch_pitch(chain)):
+        if not plain:
+            raise IksamplesError(
+                "robot.inverse: 'yaw-pitch-pitch' places the tool at (x, y, z) with no joint "
+                "locked; for anything else say newton."
+            )
+        joints = yaw_pitch_pitch(chain, x, elbow, start)
+        in_reach = np.asarray(~np.isnan(joints).any(axis=-1))
+        jacobians = chain.jacobian_mm(joints[in_reach])
+    else:
+        if start is None:
+            raise IksamplesError(
+                "robot.home: this arm's labels are followed from a home posture; give a value for "
+                f"each of {', '.join(chain.joint_names)}, with the tool amid the workspace."
+            )
+        joints = newton.follow(chain, target, x, start, held)
+        in_reach = _arrived(chain, target, joints, x)
+        jacobians = newton.task_jacobian_mm(chain, target, joints[in_reach], start, held)
+        at_home = newton.task_jacobian_mm(chain, target, start[None], start, held)[0]
+        same = _same_side(jacobians, at_home)
+        in_reach[in_reach], jacobians = same, jacobians[same]
+        joints[~in_reach] = np.nan
+    in_limits = in_reach & chain.within_limits(joints)
+    smallest = np.zeros(len(x))
+    smallest[in_reach] = np.linalg.svd(jacobians, compute_uv=False)[..., -1]
+    return Solution(
+        chain,
+        target,
+        x,
+        start,
+        held,
+        joints,
+        in_reach,
+        in_limits,
+        smallest,
+        in_reach & np.less(smallest, min_singular_value_mm),
+    )
+
+
+def jumps(solution: Solution, pairs: ArrayLike) -> Flags:
+    """Between which neighbours the joints jump: the label of one is not found from the other.
+
+    Args:
+        solution: Labels, in reach at the points of the pairs.
+        pairs: Neighbours, by index, shape (pairs, 2).
+
+    Returns:
+        Shape (pairs,).
+    """
+    first, second = np.asarray(pairs, int).T
+    start = solution.joints[first]
+    found = newton.follow(
+        solution.chain,
+        solution.target,
+        solution.x[second],
+        np.nanmean(solution.joints, axis=0) if solution.home is None else solution.home,
+        solution.locked,
+        start,
+    )
+    label = solution.joints[second]
+    # Along a branch both agree to rounding; a jump is no smaller than what the joints moved.
+    return ~(_largest(found - label) <= 1e-3 * (1e-3 + _largest(label - start)))
+
+
+def largest_usable_box(
+    usable: ArrayLike, axes: Sequence[ArrayLike]
+) -> tuple[Floats, Floats] | None:
+    """The largest box whose lattice points are all usable.
+
+    Args:
+        usable: Whether each point of a lattice is usable, shape (n_1, ..., n_d).
+        axes: The lattice's coordinates along each axis, ascending, of shape (n_i,).
+
+    Returns:
+        Lower and upper corner, the largest by volume in units of the whole lattice; None where no
+        cell of the lattice is usable.
+    """
+    # Bad points up to each index, then, axis by axis, between each pair of indices.
+    bad = np.asarray(~np.asarray(usable, bool), np.int64)
+    share = np.ones(())
+    ends = []
+    for axis, ticks in enumerate(np.asarray(tick, float) for tick in axes):
+        counts = np.moveaxis(bad, axis, 0).cumsum(axis=0)
+        counts = np.concatenate([np.zeros_like(counts[:1]), counts])
+        low, high = np.array(list(itertools.combinations(range(len(ticks)), 2))).T
+        bad = np.moveaxis(counts[high + 1] - counts[low], 0, axis)
+        share = np.multiply.outer(share, (ticks[high] - ticks[low]) / np.ptp(ticks))
+        ends.append((ticks[low], ticks[high]))
+    best = np.unravel_index(np.argmax(np.where(bad == 0, share, 0.0)), bad.shape)
+    if bad[best]:
+        return None
+    corners = [(low[i], high[i]) for (low, high), i in zip(ends, best, strict=True)]
+    return np.array([c[0] for c in corners]), np.array([c[1] for c in corners])
+
+
+def _checked_home(chain: SerialChain, home: ArrayLike) -> Floats:
+    home = np.asarray(home, float)
+    if home.shape != (chain.n_joints,) or not np.isfinite(home).all():
+        raise IksamplesError(
+            f"robot.home: give one finite value for each of {', '.join(chain.joint_names)}."
+        )
+    if not chain.within_limits(home):
+        worst = int(np.argmax(np.maximum(chain.lower - home, home - chain.upper)))
+        raise IksamplesError(
+            f"robot.home: {chain.joint_names[worst]} = {home[worst]:g} {chain.joint_units[worst]} "
+            f"is outside its limits [{chain.lower[worst]:.3f}, {chain.upper[worst]:.3f}]."
+        )
+    return home
+
+
+def _arrived(chain: SerialChain, target: Target, joints: Floats, x: Floats) -> Flags:
+    """Whether forward kinematics confirms each label."""
+    arrived = target.position_error_mm(chain, joints, x) <= POSITION_MM
+    if target.orientation != "free":
+        arrived &= target.angle_error_rad(chain, joints, x) <= ANGLE_RAD
+    return arrived
+
+
+def _same_side(jacobians: Floats, home: Floats) -> Flags:
+    """Whether no singularity was crossed an odd number of times, where that can be told."""
+    if home.shape[0] != home.shape[1]:
+        return np.ones(len(jacobians), bool)
+    return np.sign(np.linalg.det(jacobians)) == np.sign(np.linalg.det(home))
+
+
+def _largest(values: Floats) -> Floats:
+    return np.max(np.abs(values), axis=-1)
+
+
+def _in_words(target: Target, x: Floats) -> str:
+    """An input as people read it: (100, 100, 70) mm, or with names where it holds angles."""
+    if target.orientation == "free" and len(x) == 3:
+        return "({:g}, {:g}, {:g}) mm".format(*x)
+    parts = zip(target.names, x, target.units, strict=True)
+    return "(" + ", ".join(f"{name} {value:g} {unit}" for name, value, unit in parts) + ")"
