@@ -25,9 +25,9 @@ def test_every_command_has_help(command):
     assert top.returncode == 0
     commands = top.stdout.split("Commands:")[1]
     listed = [line.split()[0] for line in commands.splitlines() if line.startswith("  ")]
-    steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "map", "table", "answer",
-             "recommend", "calibrate", "plan", "next", "track", "record", "report", "certify",
-             "handbook"}  # fmt: skip
+    steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "map", "collect",
+             "table", "answer", "recommend", "calibrate", "plan", "next", "track", "record",
+             "report", "certify", "handbook"}  # fmt: skip
     assert steps <= set(listed)
 
 
@@ -135,6 +135,7 @@ def test_a_study_by_hand_without_snakemake(command, tmp_path):
         ("bounds", study, *files, "--folder", folder),
         ("prove", study, *files, "--method", "network", "--folder", folder,
          "-o", folder / "certificates.csv"),
+        ("collect", study, "--results", results),
         ("table", study, "--results", results),
         ("answer", study, "--results", results),
     ):  # fmt: skip

@@ -115,7 +115,8 @@ def finished(settings: dict[str, Any], folder: Path, losses: bool = True) -> Stu
     proofs = pd.concat(
         certify(study, chain, "network", cell.samples, cell.folder) for cell in cells(study, folder)
     )
-    proofs.to_csv(folder / "certificates.csv", index=False)
+    for file in (folder / "certificates.csv", folder / "network/certificates.csv"):
+        proofs.to_csv(file, index=False)
     table = study_table(study, cells(study, folder), proofs)
     table.to_csv(folder / "table.csv", index=False)
     (folder / "benchmarks" / "evaluate").mkdir(parents=True)

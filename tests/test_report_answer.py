@@ -13,8 +13,9 @@ from test_report import ROOT, SMALL, cells_of, finished, random_features
 
 from iksamples.answer.answer import Answer, read_answer
 from iksamples.answer.calibration import calibrate, to_json
+from iksamples.answer.collect import Variant, certificates, collect, read_runs
 from iksamples.answer.finding import samples_needed
-from iksamples.answer.outcomes import Line, all_cells, certificates, outcomes
+from iksamples.answer.outcomes import outcomes
 from iksamples.answer.size import answer_study
 from iksamples.arm.workspace import study_chain
 from iksamples.certify.step import certify
@@ -62,8 +63,8 @@ def answered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Study, 
             results,
         )
         chain = study_chain(study)
-        proofs = [pd.read_csv(results / "certificates.csv")]
         for method in ("other", "table"):
+            proofs = []
             for cell in cells(study, results, method):
                 cell.folder.mkdir(parents=True)
                 if method == "other":
@@ -77,9 +78,11 @@ def answered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Study, 
                 for name, table in tables.items():
                     table.to_parquet(cell.folder / f"{name}.parquet")
                 proofs.append(certify(study, chain, method, cell.samples, cell.folder))
-        pd.concat(proofs).to_csv(results / "certificates.csv", index=False)
+            pd.concat(proofs).to_csv(results / method / "certificates.csv", index=False)
+        certificates(study, results).to_csv(results / "certificates.csv", index=False)
+        collect(study, results).to_parquet(results / "runs.parquet")
         (results / "answer.json").write_text(answer_study(study, results).to_json())
-        rows = outcomes(study, all_cells(study, results), certificates(results))
+        rows = outcomes(study, read_runs(results))
         samples_needed(study, rows).to_csv(results / "samples-needed.csv", index=False)
         write_report(study, results, "reports/small")
         yield study, results, folder / "reports/small"
@@ -145,7 +148,7 @@ def test_the_table_says_what_the_answer_says(data: ReportData) -> None:
         "**125**",
         "tried, and enough",
         f"{found.kept_mm:.2f}",
-        "certified, not checked",
+        "measured",
     ]
     assert found.below is not None
     assert table[4:] == ["64", f"{found.below.excess_mm:.2f}"]
@@ -296,7 +299,7 @@ def test_fresh_trainings_are_printed(data: ReportData) -> None:
             for seed in range(200)
         ]
     )
-    found = calibrate(study.tolerance, fresh, Line("other", "grid"), 64, 27)
+    found = calibrate(study.tolerance, fresh, Variant("other", "grid"), 64, 27)
     file = data.results / "calibration.json"
     file.write_text(to_json([found]))
     try:

@@ -28,7 +28,7 @@ def make_study(tolerance=None, **settings):
     return parse_study({"name": "s", "tolerance": tolerance or {}, **settings})
 
 
-def make_rows(errors, method="network", design="grid", certified=False, verified=True, lower=None):
+def make_rows(errors, method="network", design="grid", certified=False, lower=None):
     """Outcomes of one line: points per axis -> errors of seeds 0, 1, ..."""
     return pd.DataFrame(
         [
@@ -37,11 +37,9 @@ def make_rows(errors, method="network", design="grid", certified=False, verified
                 "design": design,
                 "label": f"{design}{m}",
                 "n_samples": m**3,
-                "points_per_axis": m,
                 "seed": seed,
                 "error_mm": float(error),
                 "certified": certified,
-                "verified": certified and verified,
                 "attained_mm": float(error if lower is None else lower),
             }
             for m, seeds in errors.items()
@@ -61,7 +59,7 @@ def told(one):
 def test_the_smallest_rung_that_meets_the_wish_is_the_answer():
     one = answer(make_study(), make_rows({2: met(0), 3: met(19), 4: met(20), 5: met(20)}), [])
     network = one.method("network")
-    assert (network.status, network.n_samples, network.points_per_axis) == ("answered", 64, 4)
+    assert (network.status, network.n_samples) == ("answered", 64)
     # 19 of 20 are not enough for 80 % with 95 % confidence, 20 of 20 are.
     assert network.below.n_samples == 27
     assert network.below.short == pytest.approx(0.8 - 0.78389, abs=1e-5)
@@ -155,8 +153,7 @@ def test_beyond_the_ladder_the_curve_is_used_and_says_so(rng):
     network = one.method("network")
     assert network.status == "extrapolated"
     # 30 / (m - 1)^2 is 0.5 at m = 8.7; the scatter of four trainings in five adds a little.
-    assert 9 <= network.points_per_axis <= 12
-    assert network.n_samples == network.points_per_axis**3
+    assert network.n_samples in [m**3 for m in range(9, 13)]
     assert network.more_than == 512
     assert network.kept_mm is None
     assert network.extrapolation.n_fit <= network.extrapolation.n_upper <= network.n_samples
@@ -269,15 +266,9 @@ class TestWords:
             "wished. As sure as wished, it keeps to 3.00 mm, 1.00 mm too much.",
         ]
 
-    def test_a_proof_that_nobody_checked(self):
-        rows = make_rows({2: met(20)}, certified=True, verified=False)
-        one = answer(make_study(), rows, [])
-        assert "(certified, the proof not checked independently: 1.00 mm)" in one.headline
-        assert "Fewer samples were not tried." in one.method("network").sentences
-
     def test_one_certificate_missing_is_not_certified(self):
         rows = make_rows({2: met(20)}, certified=True)
-        rows.loc[3, ["certified", "verified"]] = False
+        rows.loc[3, "certified"] = False
         assert "not certified" in answer(make_study(), rows, []).headline
 
     @pytest.mark.parametrize(

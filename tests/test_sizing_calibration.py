@@ -9,16 +9,18 @@ import pytest
 from scipy.stats import norm
 
 from iksamples.answer.calibration import calibrate, read_calibrations
+from iksamples.answer.collect import Variant, collect
 from iksamples.answer.ladder import judge, standing
-from iksamples.answer.outcomes import Line, all_cells
+from iksamples.answer.outcomes import all_cells
 from iksamples.answer.size import answer_study
 from iksamples.certify.step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.step import evaluate
+from iksamples.results import cells
 from iksamples.study import parse_study
 
 
-LINE = Line("network", "grid")
+VARIANT = Variant("network", "grid")
 
 
 def tolerance_of(**settings):
@@ -37,7 +39,7 @@ def fresh(shares, n=200, good=1.0, bad=9.0):
 
 
 def test_an_answer_that_keeps_its_word():
-    found = calibrate(tolerance_of(), fresh({27: 90, 64: 190}), LINE, 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 90, 64: 190}), VARIANT, 64, 27)
     assert found.kept
     assert found.sharp
     assert found.at.success.value == 0.95
@@ -50,20 +52,20 @@ def test_an_answer_that_keeps_its_word():
 
 
 def test_an_answer_that_does_not():
-    found = calibrate(tolerance_of(), fresh({27: 90, 64: 120}), LINE, 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 90, 64: 120}), VARIANT, 64, 27)
     assert found.kept is False
     assert found.statement.startswith("The answer does not keep its word: with 64 samples, 120 of")
 
 
 def test_a_rung_below_that_does_as_well_was_caution():
-    found = calibrate(tolerance_of(), fresh({27: 180, 64: 190}), LINE, 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 180, 64: 190}), VARIANT, 64, 27)
     assert found.kept
     assert found.sharp is False
     assert found.statement.endswith("so the answer was more careful than it had to be.")
 
 
 def test_what_the_interval_leaves_open_is_not_decided():
-    found = calibrate(tolerance_of(), fresh({27: 161, 64: 159}), LINE, 64, 27)
+    found = calibrate(tolerance_of(), fresh({27: 161, 64: 159}), VARIANT, 64, 27)
     assert found.kept is None
     assert found.sharp is None
     assert found.statement.startswith(
@@ -73,7 +75,7 @@ def test_what_the_interval_leaves_open_is_not_decided():
 
 
 def test_the_best_of_three_and_no_rung_below():
-    found = calibrate(tolerance_of(best_of=3), fresh({8: 100}), LINE, 8, None)
+    found = calibrate(tolerance_of(best_of=3), fresh({8: 100}), VARIANT, 8, None)
     assert found.at.success.value == pytest.approx(7 / 8)
     assert found.kept
     assert found.below is found.sharp is None
@@ -82,7 +84,7 @@ def test_the_best_of_three_and_no_rung_below():
 
 def test_fresh_trainings_that_are_missing_are_named():
     with pytest.raises(IksamplesError, match="no fresh trainings with 27 samples"):
-        calibrate(tolerance_of(), fresh({64: 190}), LINE, 64, 27)
+        calibrate(tolerance_of(), fresh({64: 190}), VARIANT, 64, 27)
 
 
 @pytest.mark.slow
@@ -106,13 +108,17 @@ def test_a_study_checks_itself(command, tmp_path, chain):
         subprocess.run([*run, label, "--output", target], check=True)
     sets = [results / f"samples/{label}.parquet" for label in ("grid2", "grid3")]
     subprocess.run([command, "train", file, *sets, "--output", results], check=True)
-    proofs = []
     for cell in all_cells(study, results):
         tables, _ = evaluate(study, chain, cell.samples, cell.method, cell.folder)
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-        proofs.append(certify(study, chain, cell.method, cell.samples, cell.folder))
-    pd.concat(proofs).to_csv(results / "certificates.csv", index=False)
+    for method in study.all_methods:
+        proofs = [
+            certify(study, chain, method, cell.samples, cell.folder)
+            for cell in cells(study, results, method)
+        ]
+        pd.concat(proofs).to_csv(results / method / "certificates.csv", index=False)
+    collect(study, results).to_parquet(results / "runs.parquet")
     found = answer_study(study, results)
     (results / "answer.json").write_text(found.to_json())
     output = results / "calibration.json"
@@ -125,7 +131,8 @@ def test_a_study_checks_itself(command, tmp_path, chain):
     assert [check.method for check in checks] == [one.method for one in answered]
     for check in checks:
         fresh = results / "fresh" / f"{check.method}-grid"
-        proofs = pd.read_csv(fresh / "certificates.csv").query(f"n_samples == {check.at.n_samples}")
+        proofs = pd.read_csv(fresh / check.method / "certificates.csv")
+        proofs = proofs[proofs["n_samples"] == check.at.n_samples]
         # Seeds 0 to 8 gave the answer, of whichever method.
         assert sorted(proofs["seed"]) == list(range(9, 21))
         assert check.at.n_seeds == 12
@@ -155,10 +162,8 @@ def outcomes_of(rng, medians, seeds, spread=0.3):
         {
             "label": np.char.add("grid", m.astype(str)),
             "n_samples": m**3,
-            "points_per_axis": m,
             "error_mm": error,
             "certified": False,
-            "verified": False,
             "attained_mm": error,
         }
     )
@@ -210,9 +215,9 @@ def test_fresh_trainings_confirm_the_answer(rng):
         found = standing(judge(outcomes_of(rng, medians, 40), tolerance, True))
         if found is None:
             continue
-        below = (found.points_per_axis - 1) ** 3
+        below = (round(found.n_samples ** (1 / 3)) - 1) ** 3
         fresh_ones = outcomes_of(rng, medians, 200)
-        result = calibrate(tolerance, fresh_ones, LINE, found.n_samples, below)
+        result = calibrate(tolerance, fresh_ones, VARIANT, found.n_samples, below)
         answered += 1
         kept.append(result.kept)
         sharp.append(result.sharp)

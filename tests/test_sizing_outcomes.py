@@ -6,16 +6,10 @@ import pytest
 
 from iksamples.answer.calibration import calibrate_study
 from iksamples.answer.causes import causes, loss_fall
-from iksamples.answer.outcomes import (
-    COLUMNS,
-    Line,
-    all_cells,
-    certificates,
-    errors_at_samples,
-    errors_matrix,
-    outcomes,
-)
+from iksamples.answer.collect import Variant, collect, read_runs, variants
+from iksamples.answer.outcomes import COLUMNS, errors_at_samples, errors_matrix, outcomes
 from iksamples.answer.size import answer_study
+from iksamples.columns import RUNS
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.results import Cell
@@ -56,9 +50,10 @@ def write_cell(cell, error, n=SEEDS, diverged=()):
         for region, factor in (("rectangles", 0.5), ("heart", 0.25), ("cube", 1.0))
     ]
     pd.concat(parts).to_parquet(cell.folder / "errors.parquet")
-    pd.DataFrame({"seed": seeds, "diverged": np.isin(seeds, diverged)}).to_parquet(
-        cell.folder / "members.parquet"
-    )
+    if cell.method == "network":
+        pd.DataFrame(
+            {"seed": seeds, "n_trained": 20, "diverged": np.isin(seeds, diverged)}
+        ).to_parquet(cell.folder / "members.parquet")
     epochs = np.arange(1, 101)
     pd.DataFrame(
         {
@@ -96,36 +91,85 @@ def results(tmp_path, chain):
         write_cell(cell, error)
         constant_network([0, 0, 0]).save(cell.folder / "weights.safetensors")
     write_cell(Cell(tmp_path, "cubic", "grid3"), 1.0, n=1)
+    write_cell(Cell(tmp_path, "cubic", "grid2"), 1.0, n=0)  # too few points for the spline
+    certify(tmp_path, seeds=[])
     return tmp_path
 
 
 def read(results, **settings):
     study = make_study(**settings)
-    return outcomes(study, all_cells(study, results), certificates(results))
+    return outcomes(study, collect(study, results))
 
 
-def certify(results, seeds=range(SEEDS), factor=1.01, label="grid3", **columns):
+def certify(results, seeds=range(SEEDS), factor=1.01, **columns):
     """Certificates of the network on the larger grid."""
-    m = int(label[-1])
     table = pd.DataFrame(
         {
             "method": "network",
-            "samples_per_axis": m,
-            "n_samples": m**3,
+            "label": "grid3",
+            "n_samples": 27,
             "seed": list(seeds),
             "sup_lower_mm": [5.0 + seed for seed in seeds],
             "sup_upper_mm": [factor * (5.0 + seed) for seed in seeds],
+            "mean_lower_mm": [1.2 + seed / 4 for seed in seeds],
+            "mean_upper_mm": [1.3 + seed / 4 for seed in seeds],
             "complete": True,
             "verified": True,
         }
     ).assign(**columns)
-    table.to_csv(results / "certificates.csv", index=False)
+    table.to_csv(results / "network" / "certificates.csv", index=False)
 
 
-def test_one_row_per_method_samples_and_seed(results):
+def finished(study, results):
+    collect(study, results).to_parquet(results / "runs.parquet")
+    return answer_study(study, results)
+
+
+def on_27(rows):
+    return rows.query("method == 'network' and n_samples == 27")
+
+
+def test_one_row_per_method_samples_seed_and_region(results):
+    runs = collect(make_study(), results)
+    assert list(runs.columns) == list(RUNS)
+    keys = ["method", "design", "label", "seed", "region"]
+    assert not runs.duplicated(keys).any()
+    assert len(runs) == 3 * (2 * SEEDS + 1)
+    assert set(runs["region"]) == {"workspace", "rectangles", "heart"}
+    one = runs.query("method == 'network' and label == 'grid3' and seed == 2").set_index("region")
+    assert one.loc["workspace", "error_max_mm"] == 7
+    assert one.loc["heart", "error_max_mm"] == 7 / 4
+    assert one["n_trained"].eq(20).all()
+    assert runs.query("method == 'cubic'")["n_trained"].eq(27).all()
+    assert not runs["verified"].any()
+    assert runs[["sup_lower_mm", "sup_upper_mm", "mean_upper_mm"]].isna().all(axis=None)
+
+
+def test_the_table_survives_its_file(results):
+    certify(results)
+    study = make_study()
+    runs = collect(study, results)
+    runs.to_parquet(results / "runs.parquet")
+    pd.testing.assert_frame_equal(read_runs(results), runs)
+    (results / "runs.parquet").write_bytes(b"PAR1")
+    with pytest.raises(IksamplesError, match=r"runs\.parquet: cannot be read"):
+        read_runs(results)
+    runs.drop(columns="verified").to_parquet(results / "runs.parquet")
+    with pytest.raises(IksamplesError, match=r"no column verified. Run the study again"):
+        read_runs(results)
+
+
+def test_bounds_stand_beside_the_workspace_alone(results):
+    certify(results)
+    bounded = collect(make_study(), results).dropna(subset="sup_upper_mm")
+    assert set(bounded["region"]) == {"workspace"}
+    assert bounded["label"].tolist() == ["grid3"] * SEEDS
+    np.testing.assert_allclose(bounded["mean_upper_mm"], 1.3 + np.arange(SEEDS) / 4)
+
+
+def test_outcomes_are_in_the_order_of_the_study(results):
     rows = read(results)
     assert tuple(rows.columns) == COLUMNS
-    assert len(rows) == 2 * SEEDS + 1
     assert rows["n_samples"].tolist() == [8] * SEEDS + [27] * SEEDS + [27]
     assert rows["method"].tolist() == ["network"] * 2 * SEEDS + ["cubic"]
     assert rows["error_mm"].tolist() == [10, 11, 12, 13, 14, 15, 5, 6, 7, 8, 9, 10, 1]
@@ -151,26 +195,28 @@ def test_the_error_is_the_one_the_tolerance_is_about(results, tolerance, expecte
 def test_certificates_replace_what_was_measured(results):
     certify(results)
     rows = read(results)
-    network = rows[(rows["method"] == "network") & (rows["n_samples"] == 27)]
+    network = on_27(rows)
     np.testing.assert_allclose(network["error_mm"], 1.01 * (5 + np.arange(SEEDS)))
     np.testing.assert_allclose(network["attained_mm"], 5 + np.arange(SEEDS))
-    assert rows["certified"].sum() == rows["verified"].sum() == SEEDS
+    assert rows["certified"].sum() == SEEDS
     # Only the worst case over the workspace is certified.
     for tolerance in ({"of": "p99"}, {"where": "heart"}):
         assert not read(results, tolerance=tolerance)["certified"].any()
 
 
-def test_certificates_of_some_seeds_leave_the_others_measured(results):
+def test_only_a_bound_that_the_checker_proved_counts(results):
+    """Seeds without a certificate, and one whose certificate was not verified, are measured."""
     certify(results, seeds=[0, 2], verified=[True, False])
-    rows = read(results).query("n_samples == 27 and method == 'network'")
-    assert rows["certified"].tolist() == [True, False, True, False, False, False]
-    assert rows["verified"].tolist() == [True] + [False] * 5
-    assert rows["error_mm"].iloc[1] == 6
+    rows = on_27(read(results))
+    assert rows["certified"].tolist() == [True] + [False] * 5
+    np.testing.assert_allclose(rows["error_mm"], [5.05, 6, 7, 8, 9, 10])
+    runs = collect(make_study(), results)
+    assert runs["verified"].sum() == runs["sup_upper_mm"].notna().sum() == 1
 
 
 def test_an_unfinished_certificate_still_bounds(results):
     certify(results, factor=3.0, complete=False)
-    rows = read(results).query("n_samples == 27 and method == 'network'")
+    rows = on_27(read(results))
     np.testing.assert_allclose(rows["error_mm"], 3 * (5 + np.arange(SEEDS)))
     assert rows["certified"].all()
 
@@ -180,32 +226,42 @@ def test_certificates_of_other_networks_are_noticed(results):
     with pytest.raises(IksamplesError, match="above its certified bound"):
         read(results)
     certify(results, seeds=[1, 1])
-    with pytest.raises(IksamplesError, match="in it twice"):
+    with pytest.raises(IksamplesError, match="a network twice"):
         read(results)
-    pd.DataFrame({"method": ["network"]}).to_csv(results / "certificates.csv")
-    with pytest.raises(IksamplesError, match="no column samples_per_axis, n_samples, seed"):
+    (results / "network" / "certificates.csv").unlink()
+    with pytest.raises(IksamplesError, match=r"network/certificates\.csv: cannot be read"):
         read(results)
 
 
-def test_certificates_by_label_tell_designs_apart(results, chain):
+def test_designs_of_one_size_are_kept_apart(results, chain):
+    """A certificate is of one set of samples, whatever others have as many."""
     study = make_study(samples={"points_per_axis": [3], "designs": ["grid", "chebyshev"]})
-    cells = [Cell(results, "network", label) for label in ("grid3", "chebyshev3")]
-    record_samples(study, chain, "chebyshev", 3).save(cells[1].samples_path)
-    write_cell(cells[1], 5.0)
+    cells = {name: Cell(results, name, "chebyshev3") for name in ("network", "cubic")}
+    record_samples(study, chain, "chebyshev", 3).save(cells["network"].samples_path)
+    write_cell(cells["network"], 5.0)
+    write_cell(cells["cubic"], 1.0, n=1)
     certify(results)
-    with pytest.raises(IksamplesError, match="no column label"):
-        outcomes(study, cells, certificates(results))
-    certify(results, set="grid3")
-    table = pd.read_csv(results / "certificates.csv").rename(columns={"set": "label"})
-    rows = outcomes(study, cells, table)
-    assert rows["design"].unique().tolist() == ["grid", "chebyshev"]
-    assert rows.groupby("design")["certified"].all().to_dict() == {"grid": True, "chebyshev": False}
+    found = variants(outcomes(study, collect(study, results)))
+    assert list(found) == [
+        ("network", "grid"), ("network", "chebyshev"), ("cubic", "grid"), ("cubic", "chebyshev")
+    ]  # fmt: skip
+    proved = {variant: rows["certified"].all() for variant, rows in found.items()}
+    assert [variant for variant, all_proved in proved.items() if all_proved] == [
+        ("network", "grid")
+    ]
 
 
-def test_a_diverged_seed_has_an_infinite_error(results):
-    write_cell(Cell(results, "network", "grid3"), 5.0, diverged=[4])
+@pytest.mark.parametrize("weights", ["diverged", "not finite"])
+def test_a_diverged_seed_has_an_infinite_error(results, weights):
+    cell = Cell(results, "network", "grid3")
+    if weights == "diverged":
+        write_cell(cell, 5.0, diverged=[4])
+    else:
+        errors = cell.table("errors")
+        errors.loc[errors["seed"] == 4, "error_max_mm"] = np.nan
+        errors.to_parquet(cell.folder / "errors.parquet")
     certify(results)
-    rows = read(results).query("n_samples == 27 and method == 'network'")
+    rows = on_27(read(results))
     assert np.isinf(rows["error_mm"]).tolist() == [False] * 4 + [True, False]
     assert not rows["certified"].iloc[4]
 
@@ -219,7 +275,7 @@ def test_an_unfinished_study_is_named(results):
 def test_the_whole_way_from_files_to_the_answer(results):
     certify(results)
     study = make_study(tolerance={"error_mm": 4.0})
-    one = answer_study(study, results)
+    one = finished(study, results)
     assert one.headline == (
         "For every point of the workspace within 4 mm, with 95 % confidence that at least 80 % of "
         "trainings succeed: 27 samples and a cubic spline through the same samples (measured at "
@@ -236,7 +292,7 @@ def test_the_whole_way_from_files_to_the_answer(results):
 class TestFreshSeeds:
     def test_the_same_study_with_fresh_seeds_checks_the_answer(self, results):
         study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.5})
-        one = answer_study(study, results)
+        one = finished(study, results)
         assert one.method("network").n_samples == 27
         first = {"seeds": SEEDS, "first_seed": SEEDS}
         found = calibrate_study(one, study, make_study(training=first), results)
@@ -247,11 +303,11 @@ class TestFreshSeeds:
 
     def test_seeds_that_gave_the_answer_cannot_check_it(self, results):
         study = make_study(tolerance={"error_mm": 12.0, "success_share": 0.6})
-        one = answer_study(study, results)
+        one = finished(study, results)
         again = make_study(training={"seeds": SEEDS, "first_seed": SEEDS - 1})
         with pytest.raises(IksamplesError, match=r"seed 5 gave the answer.*first_seed to 6"):
             calibrate_study(one, study, again, results)
-        nothing = answer_study(make_study(), results)
+        nothing = finished(make_study(), results)
         with pytest.raises(IksamplesError, match="nothing to check"):
             calibrate_study(nothing, study, again, results)
 
@@ -301,8 +357,8 @@ class TestCauses:
             }
         )
         luck = np.exp(rng.normal(size=12))
-        of_lines = {
-            Line(name, "grid"): pd.DataFrame(
+        of_variants = {
+            Variant(name, "grid"): pd.DataFrame(
                 {"n_samples": 27, "seed": np.arange(12), "error_mm": factor * luck}
             )
             for name, factor in {
@@ -310,7 +366,7 @@ class TestCauses:
             }.items()
         }  # fmt: skip
         cell = Cell(results, "network", "grid3")
-        found = causes(study, Line("network", "grid"), of_lines, cell, {}, rng)
+        found = causes(study, Variant("network", "grid"), of_variants, cell, {}, rng)
         assert [(cause.kind, cause.text.split(", ")[0][:36]) for cause in found] == [
             ("fit", "At its own 27 samples 6 of 6 trainin"),
             ("training", "The same network trained otherwise"),

@@ -107,11 +107,14 @@ def test_a_finished_study_has_nothing_to_be_done(project):
 @pytest.mark.parametrize(
     ("change", "rules"),
     [
-        ("evaluation={'cube_points': 300}", {"evaluate", "bounds", "map", "table", "answer"}),
-        ("bounds={'average_weight': 'rms'}", {"bounds", "table", "answer"}),
+        (
+            "evaluation={'cube_points': 300}",
+            {"evaluate", "bounds", "map", "collect", "table", "answer"},
+        ),
+        ("bounds={'average_weight': 'rms'}", {"bounds", "table"}),
         (
             "training={'seeds': 4}",
-            {"train", "evaluate", "bounds", "prove", "map", "table", "answer"},
+            {"train", "evaluate", "bounds", "prove", "map", "collect", "table", "answer"},
         ),
     ],
 )

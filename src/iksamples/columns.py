@@ -60,3 +60,31 @@ CERTIFICATES: dict[str, Column] = {
     "verified": Column("-", "whether the separate, outward-rounded checker proved it again"),
 }
 """``certificates.csv``: one row per network."""
+
+ERRORS: dict[str, Column] = {
+    "error_mean_mm": Column("mm", "mean position error"),
+    "error_p95_mm": Column("mm", "95th percentile of the position error"),
+    "error_p99_mm": Column("mm", "99th percentile of the position error"),
+    "error_max_mm": Column("mm", "largest position error measured"),
+}
+"""Statistics of one training's errors over a region."""
+
+RUNS: dict[str, Column] = {
+    "method": Column("-", "name of the method"),
+    "design": Column("-", "how the samples are placed; method and design make a variant"),
+    "label": Column("-", "name of the set of samples"),
+    "n_samples": Column("-", "samples recorded"),
+    "n_trained": Column("-", "samples that really trained (held-out points taken off)"),
+    "spacing_mm": Column("mm", "distance between neighbours of an even grid; empty for others"),
+    "fill_distance_mm": Column("mm", "largest distance from a point to its nearest sample"),
+    "seed": Column("-", "seed of the network; 0 for a method that leaves nothing to chance"),
+    "diverged": Column("-", "whether its weights are not finite: a training that failed"),
+    "region": Column("-", "`workspace`, or the name of a path"),
+    **ERRORS,
+    "sup_lower_mm": Column("mm", "proved: an error that is taken in the workspace"),
+    "sup_upper_mm": Column("mm", "proved: no position of the workspace has a larger error"),
+    "verified": Column("-", "whether the separate checker proved that; empty bounds where not"),
+    "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
+    "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
+}
+"""``runs.parquet``: one row per variant, set of samples, seed and region."""

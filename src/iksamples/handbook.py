@@ -6,7 +6,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from iksamples.columns import CERTIFICATES, TABLE
+from iksamples.columns import CERTIFICATES, RUNS, TABLE
 from iksamples.study import Section, Study
 
 
@@ -42,7 +42,8 @@ def settings_page() -> str:
         lines.append(
             f"| `{key}` | {_default(field)} | {_allowed(field)} | {field.description or ''} |"
         )
-    for file, columns in (("table.csv", TABLE), ("certificates.csv", CERTIFICATES)):
+    tables = {"runs.parquet": RUNS, "table.csv": TABLE, "certificates.csv": CERTIFICATES}
+    for file, columns in tables.items():
         lines += ["", f"## Columns of `results/<study>/{file}`", ""]
         lines += ["| column | unit | meaning |", "|---|---|---|"]
         lines += [

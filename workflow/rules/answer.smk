@@ -1,15 +1,49 @@
 """
-Sizing: one row per grid beside the paper's Table 1, and how many samples each method needs.
+Sizing: all results in one table, one row per grid beside the paper's Table 1, and how many samples
+each method needs.
 
 REQUIRED INPUTS
-    results/<study>/<method>/<samples>/errors.parquet
-    results/<study>/network/<samples>/{members,bounds}.parquet
+    results/<study>/<method>/<samples>/{errors,members}.parquet
+    results/<study>/network/<samples>/bounds.parquet
     results/<study>/<method>/certificates.csv
 OUTPUTS
-    results/<study>/table.csv, certificates.csv
+    results/<study>/runs.parquet, certificates.csv
+    results/<study>/table.csv
     results/<study>/answer.json, samples-needed.csv
     results/<study>/calibration.json, where the study asks for fresh trainings
 """
+
+
+rule collect:
+    """One row per variant, set of samples, seed and region: errors and proved bounds."""
+    input:
+        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+        errors=expand(
+            "results/{{study}}/{method}/{samples}/errors.parquet",
+            method=STUDY.all_methods,
+            samples=LABELS,
+        ),
+        members=expand(
+            "results/{{study}}/{method}/{samples}/members.parquet",
+            method=networks(STUDY),
+            samples=LABELS,
+        ),
+        certificates=expand(
+            "results/{{study}}/{method}/certificates.csv", method=certified(STUDY)
+        ),
+    output:
+        "results/{study}/runs.parquet",
+        "results/{study}/certificates.csv",
+    log:
+        "results/{study}/logs/collect.log",
+    benchmark:
+        "results/{study}/benchmarks/collect.jsonl"
+    params:
+        study="results/{study}/study.json",
+        code=source_digest("iksamples.answer.collect"),
+        results="results/{study}",
+    shell:
+        "iksamples collect {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
 
 
 rule table:
@@ -20,12 +54,9 @@ rule table:
             samples=LABELS,
             table=["members", "errors", "bounds"],
         ),
-        certificates=expand(
-            "results/{{study}}/{method}/certificates.csv", method=certified(STUDY)
-        ),
+        certificates="results/{study}/certificates.csv",
     output:
         "results/{study}/table.csv",
-        "results/{study}/certificates.csv",
     log:
         "results/{study}/logs/table.log",
     benchmark:
@@ -42,12 +73,7 @@ rule table:
 rule answer:
     """How many samples, by which method, and how sure."""
     input:
-        errors=expand(
-            "results/{{study}}/{method}/{samples}/errors.parquet",
-            method=STUDY.all_methods,
-            samples=LABELS,
-        ),
-        certificates="results/{study}/certificates.csv",
+        runs="results/{study}/runs.parquet",
     output:
         "results/{study}/answer.json",
         "results/{study}/samples-needed.csv",

@@ -40,17 +40,13 @@ class Rung(Part):
 
     label: str = Field(description="Name of the set of samples.")
     n_samples: int = Field(description="Samples.")
-    points_per_axis: int = Field(description="m of the grid.")
     n_seeds: int = Field(description="Trainings; 1 for a method without chance.")
     n_met: int = Field(description="Trainings that meet the tolerance.")
     n_undecided: int = Field(
         description="Trainings counted as failed though it is not proved that they fail: their "
         "certificate stopped with the tolerance between its bounds."
     )
-    n_certified: int = Field(description="Trainings whose error is certified.")
-    n_verified: int = Field(
-        description="Those of them whose proof the independent checker has been through."
-    )
+    n_certified: int = Field(description="Trainings whose error is proved.")
     success: float = Field(description="How often the best of `best_of` trainings meets it.")
     success_lower: float | None = Field(
         description="One-sided Clopper-Pearson lower end of that; null: nothing is left to chance."
@@ -147,7 +143,6 @@ class MethodAnswer(Part):
         "trainings to tell; open: more than the most tried, and the curve does not say how many."
     )
     n_samples: int | None = Field(description="The answer: samples; null: none.")
-    points_per_axis: int | None = Field(description="m of that grid.")
     more_than: int | None = Field(
         description="Most samples tried, where they were not enough; null: answered."
     )

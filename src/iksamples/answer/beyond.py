@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from iksamples.answer.collect import Variant
 from iksamples.answer.curves import Curve, Law, Summary, fit_seeds
-from iksamples.answer.outcomes import Line, errors_matrix
+from iksamples.answer.outcomes import errors_matrix
 from iksamples.answer.statistics import Draws, Floats, share_quantile, single_share
 from iksamples.study import Study
 
@@ -29,14 +30,12 @@ class Beyond:
     Attributes:
         verdict: ``extrapolated``, ``unreachable`` or ``open``.
         n_samples: Samples to take, where extrapolated: a whole grid for a design of grids.
-        points_per_axis: m of that grid; None for other designs.
         curve: The curve used; None: there is none.
         reason: Why the verdict is ``open``.
     """
 
     verdict: Literal["extrapolated", "unreachable", "open"]
     n_samples: int | None = None
-    points_per_axis: int | None = None
     curve: Curve | None = None
     reason: str = ""
 
@@ -56,36 +55,36 @@ def grows_with_samples(study: Study, method: str) -> bool:
     return is_random(study, method) and training.steps is None and training.optimizer == "adam"
 
 
-def laws(line: Line) -> tuple[Law, ...]:
-    """Laws that suit a line: the grid's own law is for even grids alone."""
-    return ("grid", "power") if line.design == "grid" else ("power",)
+def laws(variant: Variant) -> tuple[Law, ...]:
+    """Laws that suit a variant: the grid's own law is for even grids alone."""
+    return ("grid", "power") if variant.design == "grid" else ("power",)
 
 
 def fitted(
-    line: Line, of_line: "pd.DataFrame", resampled: Draws, summary: Summary, skip: int = 0
+    variant: Variant, of_variant: "pd.DataFrame", resampled: Draws, summary: Summary, skip: int = 0
 ) -> list[Curve]:
-    """Learning curves of one line, one for each law that its rungs are enough for.
+    """Learning curves of one variant, one for each law that its rungs are enough for.
 
     Args:
-        line: The line.
-        of_line: Its outcomes.
+        variant: The variant.
+        of_variant: Its outcomes.
         resampled: Draws of as many seeds as every rung has.
         summary: What is fitted of each rung's seeds.
         skip: Smallest rungs to leave out.
     """
-    matrix = errors_matrix(of_line)
+    matrix = errors_matrix(of_variant)
     n = matrix.columns.to_numpy(float)
-    m = of_line.groupby("n_samples")["points_per_axis"].first().loc[matrix.columns].to_numpy(float)
+    m = np.cbrt(n)
     errors = matrix.to_numpy(float)
     fits = [
         fit_seeds(law, n[skip:], m[skip:], errors[:, skip:], resampled, summary)
-        for law in laws(line)
+        for law in laws(variant)
     ]
     return [curve for curve in fits if curve is not None]
 
 
 def curves_to_extrapolate(
-    study: Study, line: Line, of_line: "pd.DataFrame", resampled: Draws
+    study: Study, variant: Variant, of_variant: "pd.DataFrame", resampled: Draws
 ) -> list[Curve]:
     """Curves of the error that the wished share of trainings does not exceed.
 
@@ -99,12 +98,12 @@ def curves_to_extrapolate(
 
     curves = []
     for skip in range(_LEFT_OUT):
-        curves += fitted(line, of_line, resampled, quantile, skip)
+        curves += fitted(variant, of_variant, resampled, quantile, skip)
     return [curve for curve in curves if curve.held_out is not None]
 
 
 def look_beyond(
-    study: Study, line: Line, curves: list[Curve], tolerance_mm: float, largest: int
+    study: Study, variant: Variant, curves: list[Curve], tolerance_mm: float, largest: int
 ) -> Beyond:
     """What the curves say of a tolerance that the ladder does not meet.
 
@@ -119,12 +118,12 @@ def look_beyond(
 
     Args:
         study: The study.
-        line: The method and design.
+        variant: The method and design.
         curves: What ``curves_to_extrapolate`` returned.
         tolerance_mm: The tolerance [mm].
         largest: Most samples tried.
     """
-    confidence, by_chance = study.tolerance.confidence, is_random(study, line.method)
+    confidence, by_chance = study.tolerance.confidence, is_random(study, variant.method)
     if not curves:
         return Beyond("open", reason="too few numbers of samples for a learning curve")
     curve = min(curves, key=_miss)
@@ -135,7 +134,7 @@ def look_beyond(
     if by_chance and not curve.floor_mm.known:
         return Beyond("open", curve=curve, reason="too few seeds to tell how sure its curve is")
     if by_chance and _stay_above(curves, tolerance_mm, confidence):
-        if not grows_with_samples(study, line.method):
+        if not grows_with_samples(study, variant.method):
             return Beyond("unreachable", curve=curve)
         reason = (
             "its learning curve has levelled off above the tolerance, yet with a fixed number of "
@@ -158,8 +157,7 @@ def look_beyond(
         )
     if reason:
         return Beyond("open", curve=curve, reason=reason)
-    n_samples, m = _whole_design(line, n)
-    return Beyond("extrapolated", n_samples, m, curve)
+    return Beyond("extrapolated", _whole_design(variant, n), curve)
 
 
 def _miss(curve: Curve) -> float:
@@ -174,9 +172,8 @@ def _stay_above(curves: list[Curve], tolerance_mm: float, confidence: float) -> 
     )
 
 
-def _whole_design(line: Line, n_samples: float) -> tuple[int, int | None]:
+def _whole_design(variant: Variant, n_samples: float) -> int:
     """The next number of samples that the design can have."""
-    if line.design not in ("grid", "chebyshev"):
-        return int(np.ceil(n_samples)), None
-    m = int(np.ceil(np.cbrt(n_samples) - 1e-9))
-    return m**3, m
+    if variant.design not in ("grid", "chebyshev"):
+        return int(np.ceil(n_samples))
+    return int(np.ceil(np.cbrt(n_samples) - 1e-9)) ** 3

@@ -1,17 +1,17 @@
 """Whether an answer keeps its word: the same trainings again, with fresh seeds."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from pydantic import Field, TypeAdapter
 
 from iksamples.answer.answer import Answer, Part
-from iksamples.answer.outcomes import Line, by_rung, certificates, outcomes
+from iksamples.answer.collect import Variant, collect, variants
+from iksamples.answer.outcomes import by_rung, outcomes
 from iksamples.answer.statistics import best_of_share, share_interval
 from iksamples.answer.words import percent, several
 from iksamples.errors import IksamplesError
-from iksamples.results import NETWORK, cells
-from iksamples.study import Design, Study, Tolerance
+from iksamples.study import NETWORK, Study, Tolerance
 
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Calibration(Part):
 def calibrate(
     tolerance: Tolerance,
     fresh: "pd.DataFrame",
-    line: Line,
+    variant: Variant,
     n_samples: int,
     n_below: int | None,
 ) -> Calibration:
@@ -76,7 +76,7 @@ def calibrate(
     Args:
         tolerance: The wish the answer was given for.
         fresh: Outcomes of seeds that the answer has not seen (200, say), of one method and design.
-        line: The method and design they are of.
+        variant: The method and design they are of.
         n_samples: The number of samples recommended.
         n_below: The next smaller one of the ladder; None: there is none.
 
@@ -96,8 +96,8 @@ def calibrate(
     does_below = below and _reaches(below.success, tolerance.success_share)
     sharp = None if does_below is None else not does_below
     return Calibration(
-        method=line.method,
-        design=line.design,
+        method=variant.method,
+        design=variant.design,
         at=at,
         below=below,
         kept=kept,
@@ -141,10 +141,10 @@ def calibrate_study(
             f"training.first_seed to {max(used) + 1} or more."
         )
     asked = fresh_study.model_copy(update={"tolerance": answer.tolerance})
-    on = cells(asked, fresh_results, method, cast("Design", one.design))
-    rows = outcomes(asked, on, certificates(fresh_results))
+    variant = Variant(method, one.design)
+    rows = variants(outcomes(asked, collect(asked, fresh_results, method)))[variant]
     below = one.below.n_samples if one.below else None
-    return calibrate(answer.tolerance, rows, Line(method, one.design), one.n_samples, below)
+    return calibrate(answer.tolerance, rows, variant, one.n_samples, below)
 
 
 def read_calibrations(results: str | Path) -> list[Calibration]:

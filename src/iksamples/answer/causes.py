@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.answer.answer import Cause, Rung
-from iksamples.answer.outcomes import Line, errors_at_samples
+from iksamples.answer.collect import Variant
+from iksamples.answer.outcomes import errors_at_samples
 from iksamples.answer.statistics import FEWEST_SEEDS, Interval, compare, draws, interval
 from iksamples.answer.words import (
     described,
@@ -29,10 +30,10 @@ FALLING = 0.02
 
 def causes(
     study: Study,
-    line: Line,
-    outcomes: Mapping[Line, "pd.DataFrame"],
+    variant: Variant,
+    outcomes: Mapping[Variant, "pd.DataFrame"],
     cell: Cell,
-    answers: Mapping[Line, Rung],
+    answers: Mapping[Variant, Rung],
     rng: np.random.Generator,
 ) -> list[Cause]:
     """What the data show about a network that fails at the most samples tried.
@@ -49,7 +50,7 @@ def causes(
 
     Args:
         study: The study.
-        line: The network and design.
+        variant: The network and design.
         outcomes: Outcomes of all lines.
         cell: The network on the most samples tried.
         answers: Lines that meet the tolerance, with the rung that is their answer.
@@ -58,8 +59,8 @@ def causes(
     found = [
         _misses_its_samples(study, cell),
         _still_falling(cell, rng),
-        *_better_networks(study, line, outcomes, cell.samples.n_samples, rng),
-        _others_do_it(study, line, answers, cell.samples.n_samples),
+        *_better_networks(study, variant, outcomes, cell.samples.n_samples, rng),
+        _others_do_it(study, variant, answers, cell.samples.n_samples),
     ]
     return [cause for cause in found if cause is not None]
 
@@ -120,21 +121,21 @@ def _still_falling(cell: Cell, rng: np.random.Generator) -> Cause | None:
 
 def _better_networks(
     study: Study,
-    line: Line,
-    outcomes: Mapping[Line, "pd.DataFrame"],
+    variant: Variant,
+    outcomes: Mapping[Variant, "pd.DataFrame"],
     n_samples: int,
     rng: np.random.Generator,
 ) -> list[Cause]:
-    ours = study.all_methods[line.method]
+    ours = study.all_methods[variant.method]
     found = []
-    for other_line, of_other in outcomes.items():
-        other = study.all_methods[other_line.method]
-        if other_line.design != line.design or other.kind != "network":
+    for other_variant, of_other in outcomes.items():
+        other = study.all_methods[other_variant.method]
+        if other_variant.design != variant.design or other.kind != "network":
             continue
         same_network = other.network == ours.network
         if same_network == same_training(other.training, ours.training):
             continue  # itself, or two things differ at once
-        pairs = compare(of_other, outcomes[line], rng)
+        pairs = compare(of_other, outcomes[variant], rng)
         pairs = pairs[pairs["n_samples"] == n_samples]
         if pairs.empty or not pairs["ratio_high"].iloc[0] < 1:
             continue
@@ -143,7 +144,7 @@ def _better_networks(
         found.append(
             Cause(
                 kind="training" if same_network else "capacity",
-                text=f"{change}, {described(study, other_line.method)}, has "
+                text=f"{change}, {described(study, other_variant.method)}, has "
                 f"{percent(row['ratio'])} of its error on the same "
                 f"{several(n_samples, 'sample')} (95 % interval {percent(row['ratio_low'])} to "
                 f"{percent(row['ratio_high'])}, median over {int(row['n_pairs'])} paired seeds).",
@@ -153,12 +154,12 @@ def _better_networks(
 
 
 def _others_do_it(
-    study: Study, line: Line, answers: Mapping[Line, Rung], n_samples: int
+    study: Study, variant: Variant, answers: Mapping[Variant, Rung], n_samples: int
 ) -> Cause | None:
     able = {
         other.method: rung
         for other, rung in answers.items()
-        if other.design == line.design
+        if other.design == variant.design
         and rung.n_samples <= n_samples
         and study.all_methods[other.method].kind != "analytic"
     }

@@ -1,4 +1,4 @@
-"""What one line of the comparison comes to: the answer on its ladder, or what lies beyond it."""
+"""What one variant of the comparison comes to: the answer on its ladder, or what lies beyond it."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -7,9 +7,10 @@ import numpy as np
 
 from iksamples.answer.answer import Rung, Status
 from iksamples.answer.beyond import Beyond, curves_to_extrapolate, is_random, look_beyond
+from iksamples.answer.collect import Variant, variants
 from iksamples.answer.curves import Curve
 from iksamples.answer.ladder import judge, needed_on_ladder, standing
-from iksamples.answer.outcomes import Line, errors_matrix, lines
+from iksamples.answer.outcomes import errors_matrix
 from iksamples.answer.statistics import Floats, draws, met_needed, seeds_needed, single_share
 from iksamples.study import Study
 
@@ -26,10 +27,10 @@ _TOLERANCES = 60
 
 @dataclass(frozen=True)
 class Finding:
-    """What one line comes to.
+    """What one variant comes to.
 
     Attributes:
-        line: The method and design.
+        variant: The method and design.
         status: As in ``answer.MethodAnswer``.
         rungs: Its ladder.
         found: The rung that is the answer; None: there is none.
@@ -37,7 +38,7 @@ class Finding:
         seeds: Trainings that would settle it, where too few is all that is wrong.
     """
 
-    line: Line
+    variant: Variant
     status: Status
     rungs: list[Rung]
     found: Rung | None
@@ -63,29 +64,29 @@ class Finding:
         return self.beyond.n_samples if self.beyond and self.status == "extrapolated" else None
 
 
-def find(study: Study, line: Line, of_line: "pd.DataFrame") -> Finding:
-    """Answers the study's tolerance for one line.
+def find(study: Study, variant: Variant, of_variant: "pd.DataFrame") -> Finding:
+    """Answers the study's tolerance for one variant.
 
     Args:
         study: The study.
-        line: The method and design.
-        of_line: Its outcomes.
+        variant: The method and design.
+        of_variant: Its outcomes.
     """
-    by_chance = is_random(study, line.method)
-    rungs = judge(of_line, study.tolerance, by_chance)
+    by_chance = is_random(study, variant.method)
+    rungs = judge(of_variant, study.tolerance, by_chance)
     found = standing(rungs)
     if found:
-        return Finding(line, "answered", rungs, found, None, None)
-    curves = _curves(study, line, of_line)
-    beyond = look_beyond(study, line, curves, study.tolerance.error_mm, rungs[-1].n_samples)
+        return Finding(variant, "answered", rungs, found, None, None)
+    curves = _curves(study, variant, of_variant)
+    beyond = look_beyond(study, variant, curves, study.tolerance.error_mm, rungs[-1].n_samples)
     seeds = _seeds_to_settle(study, rungs[-1]) if by_chance else None
-    return Finding(line, "more-seeds" if seeds else beyond.verdict, rungs, None, beyond, seeds)
+    return Finding(variant, "more-seeds" if seeds else beyond.verdict, rungs, None, beyond, seeds)
 
 
 def samples_needed(
     study: Study, rows: "pd.DataFrame", tolerances_mm: Floats | None = None
 ) -> "pd.DataFrame":
-    """Samples needed against tolerance, a line per method and design.
+    """Samples needed against tolerance, a variant per method and design.
 
     Each tolerance is answered as the study's own is: at the same share of trainings and the same
     confidence, on the ladder, and beyond it by the learning curve.
@@ -97,38 +98,38 @@ def samples_needed(
             to the largest error that any rung keeps to (but for the exact inverse).
 
     Returns:
-        By line and tolerance: method, design, tolerance_mm, n_samples (NaN: no answer), status (as
-        in ``answer.MethodAnswer``), certified.
+        By variant and tolerance: method, design, tolerance_mm, n_samples (NaN: no answer), status
+        (as in ``answer.MethodAnswer``), certified.
     """
     import pandas as pd
 
-    every = lines(rows)
+    every = variants(rows)
     ladders = {
-        line: judge(of_line, study.tolerance, is_random(study, line.method))
-        for line, of_line in every
+        variant: judge(of_variant, study.tolerance, is_random(study, variant.method))
+        for variant, of_variant in every.items()
     }
     if tolerances_mm is None:
         learned = [
             rungs
-            for line, rungs in ladders.items()
-            if study.all_methods[line.method].kind != "analytic"
+            for variant, rungs in ladders.items()
+            if study.all_methods[variant.method].kind != "analytic"
         ]
         tolerances_mm = _spread(
             [rung.kept_mm for rungs in learned for rung in rungs if rung.kept_mm]
         )
     records: list[tuple[object, ...]] = []
-    for line, of_line in every:
-        rungs, curves = ladders[line], _curves(study, line, of_line)
+    for variant, of_variant in every.items():
+        rungs, curves = ladders[variant], _curves(study, variant, of_variant)
         largest = rungs[-1]
         for tolerance in tolerances_mm:
             rung = needed_on_ladder(rungs, tolerance)
             if rung:
                 certified = rung.n_certified == rung.n_seeds
-                records.append((*line, tolerance, rung.n_samples, "answered", certified))
+                records.append((*variant, tolerance, rung.n_samples, "answered", certified))
                 continue
-            beyond = look_beyond(study, line, curves, tolerance, largest.n_samples)
+            beyond = look_beyond(study, variant, curves, tolerance, largest.n_samples)
             status = "more-seeds" if _too_few(study, largest) else beyond.verdict
-            records.append((*line, tolerance, beyond.n_samples or np.nan, status, False))
+            records.append((*variant, tolerance, beyond.n_samples or np.nan, status, False))
     columns = ["method", "design", "tolerance_mm", "n_samples", "status", "certified"]
     return pd.DataFrame(records, columns=columns)
 
@@ -142,12 +143,12 @@ def _too_few(study: Study, rung: Rung) -> bool:
     return met_needed(rung.n_seeds, share, tolerance.confidence) is None
 
 
-def _curves(study: Study, line: Line, of_line: "pd.DataFrame") -> list[Curve]:
-    n_seeds = len(errors_matrix(of_line))
+def _curves(study: Study, variant: Variant, of_variant: "pd.DataFrame") -> list[Curve]:
+    n_seeds = len(errors_matrix(of_variant))
     if not n_seeds:
         return []
     resampled = draws(n_seeds, np.random.default_rng(STREAM))
-    return curves_to_extrapolate(study, line, of_line, resampled)
+    return curves_to_extrapolate(study, variant, of_variant, resampled)
 
 
 def _seeds_to_settle(study: Study, rung: Rung) -> int | None:

@@ -5,11 +5,10 @@ from pathlib import Path
 
 from iksamples.answer.answer import MethodAnswer, Rung, read_answer
 from iksamples.answer.calibration import FRESH, Calibration, calibrate_study
-from iksamples.answer.outcomes import is_certifiable
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.step import certify
 from iksamples.evaluation.step import evaluate
-from iksamples.results import Cell
+from iksamples.results import Cell, sample_sets
 from iksamples.study import Method, Study, Training
 from iksamples.training.step import train_study
 
@@ -56,7 +55,8 @@ def fresh_study(study: Study, answer: MethodAnswer) -> Study:
         return method.model_copy(update={"training": reseeded(method.training)})
 
     methods = {name: again(m) for name, m in study.methods.items() if name == answer.method}
-    sizes = [rung.points_per_axis for rung in _rungs(answer)]
+    sets = sample_sets(study)
+    sizes = [sets[rung.label][1] for rung in _rungs(answer)]
     samples = study.samples.model_copy(
         update={"points_per_axis": sizes, "designs": [answer.design]}
     )
@@ -88,10 +88,8 @@ def _run(
         tables, _ = evaluate(study, chain, samples, method, cell.folder)
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-        if is_certifiable(study.tolerance):
-            proofs.append(certify(study, chain, method, samples, cell.folder))
-    if proofs:
-        pd.concat(proofs).to_csv(folder / "certificates.csv", index=False)
+        proofs.append(certify(study, chain, method, samples, cell.folder))
+    pd.concat(proofs).to_csv(folder / method / "certificates.csv", index=False)
 
 
 def _rungs(answer: MethodAnswer) -> Sequence[Rung]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def judge(of_line: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) -> list[Rung]:
+def judge(of_variant: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) -> list[Rung]:
     """Holds every rung of a ladder against the tolerance.
 
     Of n trainings k meet the tolerance. The one-sided Clopper-Pearson lower end p of the share of
@@ -22,14 +22,14 @@ def judge(of_line: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) -> lis
     wish where that reaches ``success_share``. A method without chance meets it or does not.
 
     Args:
-        of_line: Outcomes of one method on one design.
+        of_variant: Outcomes of one method on one design.
         tolerance: The wish.
         by_chance: Whether a training succeeds or fails by chance.
 
     Returns:
         The rungs, fewest samples first.
     """
-    return [_rung(n, group, tolerance, by_chance) for n, group in by_rung(of_line)]
+    return [_rung(n, group, tolerance, by_chance) for n, group in by_rung(of_variant)]
 
 
 def standing(rungs: list[Rung]) -> Rung | None:
@@ -84,12 +84,10 @@ def _rung(n: int, group: "pd.DataFrame", tolerance: Tolerance, by_chance: bool) 
     return Rung(
         label=str(group["label"].iloc[0]),
         n_samples=n,
-        points_per_axis=int(group["points_per_axis"].iloc[0]),
         n_seeds=n_seeds,
         n_met=n_met,
         n_undecided=int(undecided.sum()),
         n_certified=int(group["certified"].sum()),
-        n_verified=int(group["verified"].sum()),
         success=success,
         success_lower=lower,
         meets=meets,

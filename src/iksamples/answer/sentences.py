@@ -21,7 +21,7 @@ from iksamples.study import NETWORK, Study
 
 
 def headline(study: Study, findings: list[Finding]) -> str:
-    """The wish, the line that needs fewest samples, the study's own network, and the best other.
+    """The wish, the variant that needs fewest samples, the study's own network, and the best other.
 
     The exact inverse is a reference and recommended to nobody who asks for samples.
     """
@@ -32,7 +32,7 @@ def headline(study: Study, findings: list[Finding]) -> str:
     )
     best = answered[:1]
     networks = [one for one in answered if _kind(study, one) == "network"]
-    own = [one for one in findings if one.line.method == NETWORK]
+    own = [one for one in findings if one.variant.method == NETWORK]
     rest = [one for one in answered if _kind(study, one) != "network"]
     # Who wants a proof, and not a measurement, is told what that takes.
     proved = [one for one in answered if _certified(one) and not _certified(best[0])]
@@ -46,7 +46,7 @@ def headline(study: Study, findings: list[Finding]) -> str:
 
 
 def told(study: Study, one: Finding) -> list[str]:
-    """One line's answer, and by how much the rung below it fails; or why there is none."""
+    """One variant's answer, and by how much the rung below it fails; or why there is none."""
     lines = _answered(study, one) if one.status == "answered" else _not_answered(study, one)
     return lines + _luck(one.rungs, one.found) + _undecided(one.shown)
 
@@ -74,7 +74,7 @@ def _wish(study: Study, findings: list[Finding]) -> str:
     else:
         along = "along" if path else "in"
         text = f"For all {_points(study)} measured {along} {place} within {at_most}"
-    if not any(is_random(study, one.line.method) for one in findings):
+    if not any(is_random(study, one.variant.method) for one in findings):
         return text
     sure, share = percent(tolerance.confidence), percent(tolerance.success_share)
     if tolerance.best_of == 1:
@@ -86,17 +86,17 @@ def _wish(study: Study, findings: list[Finding]) -> str:
 
 
 def _lead(study: Study, one: Finding) -> str:
-    """The clause of the line that the headline recommends."""
-    subject, proof = described(study, one.line.method), _proof(study, one.shown)
+    """The clause of the variant that the headline recommends."""
+    subject, proof = described(study, one.variant.method), _proof(study, one.shown)
     both = f"{subject[:-1]}; {proof})" if subject.endswith(")") else f"{subject} ({proof})"
     n = several(one.shown.n_samples, "sample")
-    return f"{n}{placed(study, one.line.design)} and {both}"
+    return f"{n}{placed(study, one.variant.design)} and {both}"
 
 
 def _clause(study: Study, one: Finding) -> str:
-    """The clause of any other line."""
-    method, rung = one.line.method, one.shown
-    subject = described(study, method) + placed(study, one.line.design)
+    """The clause of any other variant."""
+    method, rung = one.variant.method, one.shown
+    subject = described(study, method) + placed(study, one.variant.design)
     if one.status == "answered":
         if _kind(study, one) == "analytic":
             return f"{subject} needs none"
@@ -155,13 +155,12 @@ def _not_answered(study: Study, one: Finding) -> list[str]:
         )
     elif one.status == "extrapolated" and beyond.curve and beyond.n_samples:
         needed = beyond.curve.needed(tolerance.error_mm, tolerance.confidence)
-        grid = f", {beyond.points_per_axis} per axis" if beyond.points_per_axis else ""
         sure = "if it goes on as it has"
         if beyond.curve.floor_mm.known:
             most = whole(math.ceil(needed.upper))
             sure = f"with {percent(tolerance.confidence)} confidence at no more than {most}, {sure}"
         lines.append(
-            f"Extrapolated, not tried: {several(beyond.n_samples, 'sample')}{grid}. The learning "
+            f"Extrapolated, not tried: {several(beyond.n_samples, 'sample')}. The learning "
             f"curve comes down to the tolerance at {whole(math.ceil(needed.n_samples))} ({sure}). "
             f"{_test_of(beyond)}"
         )
@@ -195,7 +194,7 @@ def _undecided(rung: Rung) -> list[str]:
 
 
 def _kind(study: Study, one: Finding) -> str:
-    return study.all_methods[one.line.method].kind
+    return study.all_methods[one.variant.method].kind
 
 
 def _certified(one: Finding) -> bool:
@@ -211,8 +210,6 @@ def _evidence(study: Study, rung: Rung) -> str:
     """``certified``, or how it was measured."""
     if rung.n_certified < rung.n_seeds:
         return f"measured at {_points(study)}, not certified"
-    if rung.n_verified < rung.n_seeds:
-        return "certified, the proof not checked independently"
     return "certified"
 
 

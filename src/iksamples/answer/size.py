@@ -19,17 +19,11 @@ from iksamples.answer.answer import (
 )
 from iksamples.answer.beyond import Beyond, fitted, is_random
 from iksamples.answer.causes import causes
+from iksamples.answer.collect import Variant, read_runs, variants
 from iksamples.answer.curves import Curve
 from iksamples.answer.finding import STREAM, Finding, find
 from iksamples.answer.ladder import finite, not_counted
-from iksamples.answer.outcomes import (
-    Line,
-    all_cells,
-    certificates,
-    errors_matrix,
-    lines,
-    outcomes,
-)
+from iksamples.answer.outcomes import all_cells, errors_matrix, outcomes
 from iksamples.answer.sentences import headline, points_measured, told
 from iksamples.answer.statistics import Interval, compare, draws, interquartile_mean
 from iksamples.answer.words import described
@@ -46,14 +40,13 @@ def answer_study(study: Study, results: str | Path) -> Answer:
 
     Args:
         study: The study.
-        results: Its results folder, such as ``results/paper``; ``certificates.csv`` is used if it
-            is there.
+        results: Its results folder, such as ``results/paper``.
 
     Raises:
         IksamplesError: The results are not complete, or contradict each other.
     """
     cells = list(all_cells(study, results))
-    return answer(study, outcomes(study, cells, certificates(results)), cells)
+    return answer(study, outcomes(study, read_runs(results)), cells)
 
 
 def answer(study: Study, rows: "pd.DataFrame", cells: list[Cell]) -> Answer:
@@ -65,18 +58,18 @@ def answer(study: Study, rows: "pd.DataFrame", cells: list[Cell]) -> Answer:
         cells: Networks on sets of samples, in whose files the causes of a failure are looked for;
             nothing is looked for where a network's cell is not among them.
     """
-    of_lines = dict(lines(rows))
-    findings = [find(study, line, of_line) for line, of_line in of_lines.items()]
-    answers = {one.line: one.found for one in findings if one.found}
+    of_variants = variants(rows)
+    findings = [find(study, variant, of_variant) for variant, of_variant in of_variants.items()]
+    answers = {one.variant: one.found for one in findings if one.found}
     of_cells = {(cell.method, cell.label): cell for cell in cells}
     methods = []
     for one in findings:
         why: list[Cause] = []
-        cell = of_cells.get((one.line.method, one.shown.label))
-        if cell and not one.found and is_random(study, one.line.method):
+        cell = of_cells.get((one.variant.method, one.shown.label))
+        if cell and not one.found and is_random(study, one.variant.method):
             rng = np.random.default_rng(STREAM)
-            why = causes(study, one.line, of_lines, cell, answers, rng)
-        methods.append(_method_answer(study, one, of_lines[one.line], why))
+            why = causes(study, one.variant, of_variants, cell, answers, rng)
+        methods.append(_method_answer(study, one, of_variants[one.variant], why))
     return Answer(
         version=VERSION,
         study=study.name,
@@ -86,23 +79,21 @@ def answer(study: Study, rows: "pd.DataFrame", cells: list[Cell]) -> Answer:
         ladder=sorted({rung.n_samples for one in findings for rung in one.rungs}),
         headline=headline(study, findings),
         methods=methods,
-        comparisons=_comparisons(study, of_lines),
+        comparisons=_comparisons(study, of_variants),
     )
 
 
 def _method_answer(
-    study: Study, one: Finding, of_line: "pd.DataFrame", why: list[Cause]
+    study: Study, one: Finding, of_variant: "pd.DataFrame", why: list[Cause]
 ) -> MethodAnswer:
     rung = one.shown
-    m = rung.points_per_axis if one.found else one.beyond and one.beyond.points_per_axis
     return MethodAnswer(
-        method=one.line.method,
-        design=one.line.design,
-        kind=study.all_methods[one.line.method].kind,
-        description=described(study, one.line.method),
+        method=one.variant.method,
+        design=one.variant.design,
+        kind=study.all_methods[one.variant.method].kind,
+        description=described(study, one.variant.method),
         status=one.status,
         n_samples=one.n_samples,
-        points_per_axis=m,
         more_than=None if one.found else rung.n_samples,
         certified=rung.n_certified == rung.n_seeds,
         kept_mm=rung.kept_mm if one.found else None,
@@ -110,7 +101,7 @@ def _method_answer(
         below=_below(study, one),
         not_counted=not_counted(one.rungs),
         seeds_needed=one.seeds,
-        curves=_curves(one.line, of_line),
+        curves=_curves(one.variant, of_variant),
         extrapolation=_extrapolation(study, one.beyond) if one.beyond else None,
         causes=why,
         sentences=[*told(study, one), *(cause.text for cause in why)],
@@ -130,30 +121,30 @@ def _below(study: Study, one: Finding) -> Below | None:
     )
 
 
-def _curves(line: Line, of_line: "pd.DataFrame") -> list[LearningCurve]:
+def _curves(variant: Variant, of_variant: "pd.DataFrame") -> list[LearningCurve]:
     """The learning curves of the interquartile mean, for the figures."""
-    n_seeds = len(errors_matrix(of_line))
+    n_seeds = len(errors_matrix(of_variant))
     if not n_seeds:
         return []
     resampled = draws(n_seeds, np.random.default_rng(STREAM))
-    curves = fitted(line, of_line, resampled, interquartile_mean)
+    curves = fitted(variant, of_variant, resampled, interquartile_mean)
     return [_learning_curve(curve) for curve in curves]
 
 
-def _comparisons(study: Study, of_lines: "dict[Line, pd.DataFrame]") -> list[Comparison]:
+def _comparisons(study: Study, of_variants: "dict[Variant, pd.DataFrame]") -> list[Comparison]:
     found = []
-    first = next((line for line in of_lines if line.method == NETWORK), None)
-    for line, of_line in of_lines.items():
-        other = first if line.method == NETWORK else Line(NETWORK, line.design)
-        if other is None or other == line or other not in of_lines:
+    first = next((variant for variant in of_variants if variant.method == NETWORK), None)
+    for variant, of_variant in of_variants.items():
+        other = first if variant.method == NETWORK else Variant(NETWORK, variant.design)
+        if other is None or other == variant or other not in of_variants:
             continue
-        chance = is_random(study, line.method), is_random(study, other.method)
-        pairs = compare(of_line, of_lines[other], np.random.default_rng(STREAM), chance)
+        chance = is_random(study, variant.method), is_random(study, other.method)
+        pairs = compare(of_variant, of_variants[other], np.random.default_rng(STREAM), chance)
         for n, n_pairs, ratio, low, high, better in pairs.to_numpy(float):
             found.append(
                 Comparison(
-                    method=line.method,
-                    design=line.design,
+                    method=variant.method,
+                    design=variant.design,
                     other=other.method,
                     other_design=other.design,
                     n_samples=int(n),

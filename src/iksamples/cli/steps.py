@@ -133,38 +133,47 @@ def map_(study_file: StudyFile, results: Results) -> None:
 
 
 @app.command()
-def table(study_file: StudyFile, results: Results) -> None:
-    """Aggregate over seeds: table.csv beside the paper's Table 1, and all certificates in one."""
-    import pandas as pd
-
-    from iksamples.paper.table import study_table
-    from iksamples.results import cells, certified
+def collect(study_file: StudyFile, results: Results) -> None:
+    """Put all errors and certificates into one table, runs.parquet, and all certificates in one."""
+    from iksamples.answer.collect import FILE, certificates
+    from iksamples.answer.collect import collect as collect_runs
     from iksamples.study import read_study
 
     study = read_study(study_file)
-    proofs = pd.concat(
-        [pd.read_csv(results / method / "certificates.csv") for method in certified(study)]
-    )
-    tables = {
-        "certificates.csv": proofs,
-        "table.csv": study_table(study, cells(study, results), proofs),
-    }
-    for name, rows in tables.items():
-        with whole_file(results / name) as file:
-            rows.to_csv(file, index=False)
+    runs = collect_runs(study, results)
+    with whole_file(results / "certificates.csv") as file:
+        certificates(study, results).to_csv(file, index=False)
+    with whole_file(results / FILE) as file:
+        runs.to_parquet(file)
+
+
+@app.command()
+def table(study_file: StudyFile, results: Results) -> None:
+    """Aggregate over seeds: table.csv beside the paper's Table 1."""
+    import pandas as pd
+
+    from iksamples.paper.table import study_table
+    from iksamples.results import cells
+    from iksamples.study import read_study
+
+    study = read_study(study_file)
+    proofs = pd.read_csv(results / "certificates.csv")
+    with whole_file(results / "table.csv") as file:
+        study_table(study, cells(study, results), proofs).to_csv(file, index=False)
 
 
 @app.command()
 def answer(study_file: StudyFile, results: Results) -> None:
     """Answer how many samples each method needs: answer.json and samples-needed.csv."""
+    from iksamples.answer.collect import read_runs
     from iksamples.answer.finding import samples_needed
-    from iksamples.answer.outcomes import all_cells, certificates, outcomes
+    from iksamples.answer.outcomes import outcomes
     from iksamples.answer.size import answer_study
     from iksamples.study import read_study
 
     study = read_study(study_file)
     found = answer_study(study, results)
-    rows = outcomes(study, all_cells(study, results), certificates(results))
+    rows = outcomes(study, read_runs(results))
     with whole_file(results / "samples-needed.csv") as file:
         samples_needed(study, rows).to_csv(file, index=False)
     with whole_file(results / "answer.json") as file:

@@ -1,0 +1,194 @@
+"""One tidy table per study: what every training came to, and what is proved of it.
+
+It is the only place where certificates are joined to errors and where diverged seeds are marked.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from iksamples.columns import CERTIFICATES, ERRORS, RUNS
+from iksamples.errors import IksamplesError
+from iksamples.evaluation.errors import CUBE
+from iksamples.results import Cell, cells, certified, networks
+from iksamples.study import Study
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from iksamples.samples.dataset import SampleSet
+
+FILE = "runs.parquet"
+WORKSPACE = "workspace"
+"""The region that is the whole workspace; every other region is a path, by its name."""
+
+_KEYS = ["method", "label", "seed"]
+_SUP = ["sup_lower_mm", "sup_upper_mm"]
+_MEAN = ["mean_lower_mm", "mean_upper_mm"]
+_ROUNDING = 1e-4
+"""Errors over the workspace are kept in single precision."""
+
+
+class Variant(NamedTuple):
+    """What is compared: a method, on samples placed by a design."""
+
+    method: str
+    design: str
+
+
+def collect(study: Study, results: str | Path, method: str | None = None) -> "pd.DataFrame":
+    """Every training of a study, as one table.
+
+    Args:
+        study: The study.
+        results: Its results folder, such as ``results/paper``.
+        method: Only of this method; None: of all.
+
+    Returns:
+        Columns ``columns.RUNS``, a row per method, design, set of samples, seed and region, in the
+        study's order of methods and designs, fewest samples first. A method that cannot use some
+        samples has no row there.
+
+    Raises:
+        IksamplesError: The study is not finished, or a certificate contradicts what was measured.
+    """
+    import pandas as pd
+
+    sets: dict[str, SampleSet] = {}
+    frames = []
+    for name in [method] if method else study.all_methods:
+        for design in study.samples.designs:
+            for cell in cells(study, results, name, design):
+                if cell.label not in sets:
+                    sets[cell.label] = cell.samples
+                frames.append(_measured(study, cell, sets[cell.label]))
+    rows = pd.concat(frames, ignore_index=True)
+    if rows.empty:
+        raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
+    bounds = _bounds(certificates(study, results, method))
+    rows = rows.merge(bounds, on=[*_KEYS, "region"], how="left")
+    rows["verified"] = rows["verified"].eq(True) & ~rows["diverged"]
+    rows.loc[~rows["verified"], _SUP] = np.nan
+    _require_agreement(rows)
+    return rows[list(RUNS)]
+
+
+def certificates(study: Study, results: str | Path, method: str | None = None) -> "pd.DataFrame":
+    """The certificates of one method or of all that can have some, a row per network.
+
+    Raises:
+        IksamplesError: A file is missing, or has a network twice.
+    """
+    import pandas as pd
+
+    frames = []
+    for name in certified(study):
+        if method not in (None, name):
+            continue
+        file = Path(results) / name / "certificates.csv"
+        try:
+            frames.append(pd.read_csv(file))
+        except (OSError, ValueError) as error:
+            raise IksamplesError(
+                f"{file}: cannot be read ({error}). Run the study to its end."
+            ) from None
+    if not frames:
+        return pd.DataFrame(columns=list(CERTIFICATES))
+    table = pd.concat(frames, ignore_index=True)
+    if table.duplicated(_KEYS).any():
+        raise IksamplesError(
+            f"{results}: certificates.csv has a network twice. Delete it and run the study again."
+        )
+    return table
+
+
+def read_runs(results: str | Path) -> "pd.DataFrame":
+    """What ``collect`` found, from the results folder of a finished study.
+
+    Raises:
+        IksamplesError: There is no such file, or it is of another version.
+    """
+    import pandas as pd
+
+    file = Path(results) / FILE
+    try:
+        table = pd.read_parquet(file)
+    except (OSError, ValueError) as error:
+        raise IksamplesError(
+            f"{file}: cannot be read ({error}). Run the study to its end."
+        ) from None
+    missing = [name for name in RUNS if name not in table.columns]
+    if missing:
+        raise IksamplesError(f"{file}: no column {', '.join(missing)}. Run the study again.")
+    return table
+
+
+def variants(runs: "pd.DataFrame") -> "dict[Variant, pd.DataFrame]":
+    """The rows of each method on each design, in their order."""
+    groups = runs.groupby(["method", "design"], sort=False)
+    return {Variant(str(method), str(design)): rows for (method, design), rows in groups}
+
+
+def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
+    """A cell's measured errors: a row per seed and region, none if the method has no results."""
+    import pandas as pd
+
+    trained = cell.method in networks(study)
+    try:
+        errors = cell.table("errors").reset_index(drop=True)
+    except FileNotFoundError:
+        raise IksamplesError(
+            f"{cell.folder / 'errors.parquet'} is missing: the study is not finished. Run it to "
+            "its end."
+        ) from None
+    missing = [name for name in ERRORS if name not in errors.columns]
+    if missing:
+        raise IksamplesError(
+            f"{cell.folder / 'errors.parquet'}: no column {', '.join(missing)}; it is from an "
+            "earlier version. Run the study again."
+        )
+    sound = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
+    n_trained = samples.n_samples
+    if trained:
+        members = cell.table("members").set_index("seed")
+        n_trained = int(members["n_trained"].iloc[0])
+        sound &= ~errors["seed"].map(members["diverged"]).to_numpy(bool)
+    rows = pd.DataFrame(
+        {
+            "method": cell.method,
+            "design": samples.design,
+            "label": cell.label,
+            "n_samples": samples.n_samples,
+            "n_trained": n_trained,
+            "spacing_mm": samples.spacing_mm,
+            "fill_distance_mm": samples.fill_distance_mm,
+            "seed": errors["seed"].astype("int64"),
+            "diverged": ~sound,
+            "region": errors["region"].replace({CUBE: WORKSPACE}).astype(str),
+        }
+    )
+    return rows.join(errors[list(ERRORS)].astype(float))
+
+
+def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":
+    """The certificates' columns, ready to be joined to the rows of the workspace."""
+    table = certificates[[*_KEYS, *_SUP, *_MEAN, "verified"]].assign(region=WORKSPACE)
+    # A file without any certificate has no types.
+    return table.astype(dict.fromkeys([*_SUP, *_MEAN], "float64")).astype(
+        {"verified": "bool", "seed": "int64"}
+    )
+
+
+def _require_agreement(rows: "pd.DataFrame") -> None:
+    """No error was measured above its bound."""
+    broken = rows[rows["error_max_mm"] > rows["sup_upper_mm"] * (1 + _ROUNDING)]
+    if len(broken):
+        first = broken.iloc[0]
+        raise IksamplesError(
+            f"{first['method']} on {first['label']}, seed {first['seed']}: measured "
+            f"{first['error_max_mm']:.4g} mm, above its certified bound "
+            f"{first['sup_upper_mm']:.4g} mm. The certificates are not of these networks; delete "
+            f"{first['method']}/certificates.csv and run again."
+        )
