@@ -18,7 +18,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from iksamples.arm.chain import SerialChain, load_urdf
-from iksamples.certify.checker import verify
+from iksamples.certify.checker import Claim, verify
 from iksamples.certify.search import certify_sup
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -165,7 +165,7 @@ def cost(title: str, cases: list[Case], rtol: float) -> None:
             times.append(time.perf_counter() - began)
         seconds.append(1e3 * np.median(times))
         boxes.append(found.boxes)
-        sizes.append(found.upper_mm)
+        sizes.append(found.upper)
         complete &= found.complete
     print(
         f"| {title} | {len(cases)} | {rtol:.1%} | {min(sizes):.1f} to {max(sizes):.1f} "
@@ -201,9 +201,9 @@ def dense(cases: list[Case], n: int = 10**7) -> None:
         largest = 0.0
         for _ in range(n // 50_000):
             errors = plain_errors(stack, rng.uniform(lower, upper, (50_000, 3)))
-            above += int((errors > found.upper_mm).sum())
+            above += int((errors > found.upper).sum())
             largest = max(largest, float(errors.max()))
-        parts.append(largest / found.upper_mm)
+        parts.append(largest / found.upper)
     print(
         f"{len(cases)} networks, {n:.0e} points each: {above} above; the largest of the points is "
         f"{min(parts):.1%} to {max(parts):.2%} of the bound",
@@ -217,10 +217,15 @@ def checked(cases: list[Case], rtol: float) -> None:
     for chain, stack, lower, upper in cases:
         found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol, keep_leaves=True)
         began = time.perf_counter()
-        result = verify(found, stack, 0, chain)
+        result = verify(
+            Claim(
+                stack, 0, chain, Region.box(lower, upper), found.upper, found.lower, found.argmax
+            ),
+            found.leaves,
+        )
         seconds.append(time.perf_counter() - began)
         proved += result.verified
-        apart.append(found.upper_mm - result.upper_mm)
+        apart.append(found.upper - result.upper)
         leaves.append(result.leaves)
     print(
         f"checker: {proved} of {len(cases)} proved, bounds at most {max(apart):.1e} mm below the "
@@ -306,8 +311,8 @@ def agreement(cases: list[Case], rtol: float = 0.05) -> None:
                 )
         seconds.append(time.perf_counter() - began)
         if not len(low):
-            both += found.lower_mm <= settled and largest <= found.upper_mm
-            ratios.append(found.upper_mm / settled)
+            both += found.lower <= settled and largest <= found.upper
+            ratios.append(found.upper / settled)
     print(
         f"auto_LiRPA: {both} of {len(cases)} networks agree (finished {len(ratios)}); our upper / "
         f"its upper {min(ratios):.3f} to {max(ratios):.3f}; median {np.median(seconds):.2f} s "

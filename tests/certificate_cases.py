@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from iksamples.arm.chain import SerialChain
+from iksamples.certify.checker import Claim, Verification, verify
 from iksamples.network import StackedMLP
 
 
@@ -113,3 +114,12 @@ def points_in(rng, lower, upper, n):
     corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * d), axis=-1).reshape(-1, d)
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     return lower + (upper - lower) * np.concatenate([share, corners])
+
+
+def check(certificate, network, row, chain, region, **changed) -> Verification:
+    """What the checker says of a certificate's bounds; parts of the claim may be changed."""
+    claim = {
+        "network": network, "row": row, "chain": chain, "region": region,
+        "upper": certificate.upper, "lower": certificate.lower, "argmax": certificate.argmax,
+    }  # fmt: skip
+    return verify(Claim(**{**claim, **changed}), certificate.leaves)

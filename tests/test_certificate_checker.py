@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from certificate_cases import (
+    check,
     linear_network,
     make_chain,
     plain_answer,
@@ -20,7 +21,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.certify.balls import Ball, norm_above, sum_above
-from iksamples.certify.checker import verify
 from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
 from iksamples.certify.jets import Linkage
@@ -34,6 +34,7 @@ from iksamples.region import Region
 
 
 LOWER, UPPER = np.array([20.0, 20.0, 0.0]), np.array([80.0, 80.0, 60.0])
+SQUARE = Region.box((20, 20), (50, 50))
 NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=True) | st.sampled_from(
     [0.0, 1e-300, -1e-308, 1e300]
 )
@@ -145,17 +146,16 @@ def test_what_the_search_finds_is_proved(rng, kinds, d, hidden, activation):
     certificate = certify_sup(
         stack, 0, chain, Region.box(lower, upper), rtol=0.01, keep_leaves=True
     )
-    checked = verify(certificate, stack, 0, chain)
+    checked = check(certificate, stack, 0, chain, Region.box(lower, upper))
     assert certificate.complete
     assert checked.verified
-    assert checked.tiles
     assert checked.leaves == len(certificate.leaves.lower)
     # Not only above, but the same to rounding: two derivations of one bound.
-    assert certificate.upper_mm - 1e-6 < checked.upper_mm <= certificate.upper_mm
+    assert certificate.upper - 1e-6 < checked.upper <= certificate.upper
     points = points_in(rng, lower, upper, 2000)
     k = min(d, 3)
     miss = plain_tip(chain, plain_answer(stack, 0, points))[:, :k] - points[:, :k]
-    assert np.linalg.norm(miss, axis=1).max() <= checked.upper_mm
+    assert np.linalg.norm(miss, axis=1).max() <= checked.upper
 
 
 def test_axes_that_are_only_nearly_parallel_are_counted(rng):
@@ -165,12 +165,12 @@ def test_axes_that_are_only_nearly_parallel_are_counted(rng):
     )  # fmt: skip
     stack = random_network(rng, (2, 8, 3), "tanh", lower=(50, 50), upper=(90, 90))
     certificate = certify_sup(stack, 0, chain, Region.box((50, 50), (90, 90)), keep_leaves=True)
-    checked = verify(certificate, stack, 0, chain)
+    checked = check(certificate, stack, 0, chain, Region.box((50, 50), (90, 90)))
     # Wider than the search's bound, whose axes count as three runs, never tighter than the truth.
-    assert checked.upper_mm >= certificate.lower_mm
+    assert checked.upper >= certificate.lower
     points = points_in(rng, (50, 50), (90, 90), 5000)
     miss = plain_tip(chain, plain_answer(stack, 0, points))[:, :2] - points
-    assert np.linalg.norm(miss, axis=1).max() <= checked.upper_mm
+    assert np.linalg.norm(miss, axis=1).max() <= checked.upper
 
 
 def test_what_nearly_parallel_axes_leave_out_is_counted():
@@ -227,44 +227,149 @@ def test_cancellation_in_the_network_is_counted():
             return abs(answer - x)
 
         largest = max(error(0), error(1))
-        checked = verify(certificate, stack, 0, slide)
-        assert Fraction(checked.lower_mm) <= largest <= Fraction(checked.upper_mm)
-        assert largest <= Fraction(certificate.upper_mm)
+        checked = check(certificate, stack, 0, slide, Region.box([0.0], [1.0]))
+        assert Fraction(checked.lower) <= largest <= Fraction(checked.upper)
+        assert largest <= Fraction(certificate.upper)
 
 
 def certified(rng, activation="relu"):
     chain = planar([40.0, 30.0])
     stack = random_network(rng, (2, 8, 2), activation, n=2, lower=(20, 20), upper=(50, 50))
-    certificate = certify_sup(stack, 0, chain, Region.box((20, 20), (50, 50)), keep_leaves=True)
-    return chain, stack, certificate
+    return chain, stack, certify_sup(stack, 0, chain, SQUARE, keep_leaves=True)
 
 
-def test_forged_certificates_are_refused(rng):
+def forgeries(honest, rng):
+    """Leaves that prove nothing, by what is wrong with them."""
+    part, low, high, bound = (
+        getattr(honest.leaves, n) for n in ("part", "lower", "upper", "bound")
+    )
+    worst = int(bound.argmax())
+    steps = np.arange(4097) / 4096
+
+    def without(k):
+        return Leaves(*(np.delete(v, k, 0) for v in (part, low, high, bound)))
+
+    def again(k):
+        return Leaves(*(np.concatenate([v, v[k : k + 1]]) for v in (part, low, high, bound)))
+
+    nan, shrunk, grown, moved = (high.copy() for _ in range(4))
+    nan[worst, 0] = np.nan
+    shrunk[worst] = 0.5 * (low + high)[worst]
+    grown[worst, 0] = 1.0 if high[worst, 0] < 1 else 1.0 + 2.0**-52
+    moved[worst] = np.nextafter(high[worst], 0)
+    swapped = part.copy()
+    swapped[worst] = 1
+    line = np.zeros(4096, int)
+    return {
+        "one dropped": without(worst),
+        "one twice": again(worst),
+        "none": Leaves(part[:0], low[:0], high[:0], bound[:0]),
+        "not a number": replace(honest.leaves, upper=nan),
+        "not finite": replace(honest.leaves, upper=np.where(high == 1, np.inf, high)),
+        "shrunk": replace(honest.leaves, upper=shrunk),
+        "grown": replace(honest.leaves, upper=grown),
+        "moved by a last place": replace(honest.leaves, upper=moved),
+        "upside down": replace(honest.leaves, lower=high, upper=low),
+        "one column, on the diagonal": Leaves(line, steps[:-1, None], steps[1:, None], bound),
+        "a column more": replace(
+            honest.leaves,
+            lower=np.column_stack([low, np.zeros(len(low))]),
+            upper=np.column_stack([high, np.ones(len(high))]),
+        ),
+        "flat arrays": replace(honest.leaves, lower=low.ravel(), upper=high.ravel()),
+        "one row for all": Leaves(part[:1], np.zeros((1, 1)), np.ones((1, 1)), bound[:1]),
+        "single precision": replace(
+            honest.leaves, lower=low.astype(np.float32), upper=high.astype(np.float32)
+        ),
+        "integers": Leaves(np.zeros(1, int), np.zeros((1, 2), int), np.ones((1, 2), int), bound),
+        "complex": replace(honest.leaves, lower=low + 0j, upper=high + 0j),
+        "another box of the region": replace(honest.leaves, part=swapped),
+        "a box that counts from the end": replace(honest.leaves, part=part - 1),
+        "boxes as floats": replace(honest.leaves, part=part.astype(float)),
+        "fewer parts": replace(honest.leaves, part=part[:1]),
+        "masked": replace(honest.leaves, lower=np.ma.array(low), upper=np.ma.array(high)),
+        "lists": replace(honest.leaves, lower=low.tolist(), upper=high.tolist()),
+        "shuffled corners": replace(honest.leaves, upper=rng.permutation(high)),
+    }
+
+
+def test_forged_leaves_prove_nothing(rng):
     chain, stack, honest = certified(rng)
-    assert verify(honest, stack, 0, chain).verified
-    leaves = honest.leaves
-    assert not verify(replace(honest, upper_mm=honest.upper_mm * 0.9995), stack, 0, chain).verified
-    assert not verify(replace(honest, lower_mm=honest.upper_mm), stack, 0, chain).verified
-    outside = replace(honest, argmax_mm=honest.argmax_mm + 1000.0)
-    assert not verify(outside, stack, 0, chain).verified
-    # So near outside that the error there is as good as the one inside.
-    beside = np.where(honest.argmax_mm > 35, 50 + 1e-6, 20 - 1e-6)
-    beside = replace(honest, argmax_mm=beside, lower_mm=1e-3)
-    assert verify(replace(beside, argmax_mm=honest.argmax_mm), stack, 0, chain).verified
-    assert not verify(beside, stack, 0, chain).verified
-    worst = int(leaves.bound.argmax())
-    parts = leaves.part, leaves.lower, leaves.upper, leaves.bound
-    holed = Leaves(*(np.delete(v, worst, 0) for v in parts))
-    checked = verify(replace(honest, leaves=holed), stack, 0, chain)
-    assert not checked.tiles
-    assert checked.upper_mm == np.inf
-    doubled = Leaves(*(np.concatenate([v, v[:1]]) for v in parts))
-    assert not verify(replace(honest, leaves=doubled), stack, 0, chain).tiles
-    longer = planar([40.0, 30.5])
-    assert not verify(honest, stack, 0, longer).verified
-    assert not verify(honest, stack, 1, chain).verified
+    assert check(honest, stack, 0, chain, SQUARE).verified
+    for kind, leaves in forgeries(honest, rng).items():
+        checked = check(replace(honest, leaves=leaves), stack, 0, chain, SQUARE, upper=1e9)
+        assert checked.upper == np.inf, kind
+        assert not checked.verified, kind
+    # Leaves for one box of a region say nothing about the other.
+    both = Region(np.array([[20.0, 20.0], [50.0, 20.0]]), np.array([[50.0, 50.0], [60.0, 50.0]]))
+    assert not check(honest, stack, 0, chain, both, upper=1e9).verified
     with pytest.raises(IksamplesError, match="keep_leaves"):
-        verify(replace(honest, leaves=None), stack, 0, chain)
+        check(replace(honest, leaves=None), stack, 0, chain, SQUARE)
+
+
+def test_leaves_on_a_diagonal_are_no_proof():
+    """One-column leaves broadcast onto the diagonal of the box, where this arm misses nothing."""
+    gantry = make_chain("PP", np.eye(3)[:2], np.zeros((2, 3)), (0, 0, 0))
+    stack = linear_network([[2, 0], [-1, 1]], (0, 0))  # (2 x - y, y) instead of (x, y)
+    honest = certify_sup(stack, 0, gantry, SQUARE, keep_leaves=True)
+    assert honest.lower == pytest.approx(30)
+    steps = np.arange(4097) / 4096
+    line = Leaves(np.zeros(4096, int), steps[:-1, None], steps[1:, None], np.zeros(4096))
+    forged = replace(honest, leaves=line, upper=1.0, lower=0.0)
+    checked = check(forged, stack, 0, gantry, SQUARE)
+    assert checked.upper == np.inf
+    assert not checked.verified
+
+
+def test_claims_that_the_leaves_do_not_prove(rng):
+    chain, stack, honest = certified(rng)
+
+    def holds(row=0, chain=chain, region=SQUARE, **changed):
+        return check(honest, stack, row, chain, region, **changed).verified
+
+    assert holds()
+    proved = check(honest, stack, 0, chain, SQUARE).upper
+    assert holds(upper=proved)
+    assert not holds(upper=float(np.nextafter(proved, 0)))
+    assert not holds(upper=np.nan)
+    assert not holds(upper=np.inf)
+    assert not holds(lower=honest.upper)
+    assert not holds(lower=np.nan)
+    assert not holds(row=1)
+    assert not holds(chain=planar([40.0, 30.5]))
+    # What is claimed is the caller's: a larger region is not proved by leaves for a smaller one.
+    assert not holds(region=Region.box((20, 20), (50, 51)), lower=0.0)
+    assert not holds(compare=Comparison((1, 0), (0, 1)))
+    # A point outside of the region proves nothing, however near.
+    assert not holds(argmax=honest.argmax + 1000.0)
+    beside = np.where(honest.argmax > 35, 50 + 1e-6, 20 - 1e-6)
+    assert holds(lower=1e-3)
+    assert not holds(argmax=beside, lower=1e-3)
+    assert not holds(argmax=np.full(2, np.nan))
+    assert not holds(argmax=honest.argmax[:1])
+    assert not holds(argmax=None)
+
+
+@pytest.mark.parametrize("broken", ["nan", "gelu", "no scale", "torn", "row", "arm", "region"])
+def test_what_is_no_network_is_not_checked(rng, broken):
+    chain, stack, honest = certified(rng)
+    row, region = 0, SQUARE
+    if broken == "nan":
+        stack.weights[0][0, 0, 0] = np.nan
+    elif broken == "gelu":
+        stack = replace(stack, activation="gelu")
+    elif broken == "no scale":
+        stack.scale_mm[0] = 0
+    elif broken == "torn":
+        stack = replace(stack, biases=(stack.biases[0][:, :3], stack.biases[1]))
+    elif broken == "row":
+        row = -1
+    elif broken == "arm":
+        chain = planar([40.0, 30.0, 20.0])
+    else:
+        region = Region.box((20, 20, 20), (50, 50, 50))
+    with pytest.raises(IksamplesError):
+        check(honest, stack, row, chain, region)
 
 
 def tiles_unit_box(lower, upper):
@@ -295,7 +400,7 @@ def test_the_lower_bound_is_an_error_that_is_taken():
     with mpmath.workdps(50):
         hidden = [
             (exact(x) - exact(o)) / exact(s)
-            for x, o, s in zip(certificate.argmax_mm, stack.offset_mm, stack.scale_mm, strict=True)
+            for x, o, s in zip(certificate.argmax, stack.offset_mm, stack.scale_mm, strict=True)
         ]
         for depth in range(2):
             weight, bias = stack.weights[depth][0], stack.biases[depth][0]
@@ -306,11 +411,11 @@ def test_the_lower_bound_is_an_error_that_is_taken():
             if depth == 0:
                 hidden = [mpmath.tanh(h) for h in hidden]
         q1, q2 = hidden
-        x = 40 * mpmath.cos(q1) + 30 * mpmath.cos(q1 + q2) - exact(certificate.argmax_mm[0])
-        y = 40 * mpmath.sin(q1) + 30 * mpmath.sin(q1 + q2) - exact(certificate.argmax_mm[1])
+        x = 40 * mpmath.cos(q1) + 30 * mpmath.cos(q1 + q2) - exact(certificate.argmax[0])
+        y = 40 * mpmath.sin(q1) + 30 * mpmath.sin(q1 + q2) - exact(certificate.argmax[1])
         error = mpmath.sqrt(x * x + y * y)
-        assert exact(certificate.lower_mm) <= error <= exact(certificate.upper_mm)
-        assert abs(error - exact(certificate.lower_mm)) < 1e-6
+        assert exact(certificate.lower) <= error <= exact(certificate.upper)
+        assert abs(error - exact(certificate.lower)) < 1e-6
 
 
 def test_the_worst_position_is_inside_the_box_to_the_last_place(rng):
@@ -319,8 +424,8 @@ def test_the_worst_position_is_inside_the_box_to_the_last_place(rng):
     stack = linear_network(np.zeros((3, 3)), (0, 0, 0))
     for lower, upper in zip(rng.uniform(-1, 1, (30, 3)), rng.uniform(2, 3, (30, 3)), strict=True):
         certificate = certify_sup(stack, 0, gantry, Region.box(lower, upper), keep_leaves=True)
-        np.testing.assert_array_equal(certificate.argmax_mm, upper)
-        assert verify(certificate, stack, 0, gantry).verified
+        np.testing.assert_array_equal(certificate.argmax, upper)
+        assert check(certificate, stack, 0, gantry, Region.box(lower, upper)).verified
 
 
 def test_the_lower_bound_is_rounded_down():
@@ -331,10 +436,10 @@ def test_the_lower_bound_is_rounded_down():
         certificate = certify_sup(
             stack, 0, gantry, Region.box((0, 0, 0), (1, 1, 1)), keep_leaves=True
         )
-        np.testing.assert_array_equal(certificate.argmax_mm, 0)
-        checked = verify(certificate, stack, 0, gantry)
+        np.testing.assert_array_equal(certificate.argmax, 0)
+        checked = check(certificate, stack, 0, gantry, Region.box((0, 0, 0), (1, 1, 1)))
         square = sum(b * b for b in bias)
-        assert Fraction(checked.lower_mm) ** 2 <= square <= Fraction(checked.upper_mm) ** 2
+        assert Fraction(checked.lower) ** 2 <= square <= Fraction(checked.upper) ** 2
 
 
 def test_compared_coordinates_may_be_chosen(rng):
@@ -345,10 +450,12 @@ def test_compared_coordinates_may_be_chosen(rng):
     certificate = certify_sup(
         stack, 0, chain, Region.box((20, 0, 10), (40, 1, 30)), keep_leaves=True, compare=compare
     )
-    assert verify(certificate, stack, 0, chain).verified
+    assert check(
+        certificate, stack, 0, chain, Region.box((20, 0, 10), (40, 1, 30)), compare=compare
+    ).verified
     points = points_in(rng, (20, 0, 10), (40, 1, 30), 5000)
     miss = plain_tip(chain, plain_answer(stack, 0, points))[:, [0, 2]] - points[:, [0, 2]]
-    assert np.linalg.norm(miss, axis=1).max() <= certificate.upper_mm
+    assert np.linalg.norm(miss, axis=1).max() <= certificate.upper
     for coordinates, inputs in (((0, 3), (0, 1)), ((0,), (0, 1)), ((0, 1), (0, 3)), ((), ())):
         with pytest.raises(IksamplesError, match="compare"):
             certify_sup(
@@ -405,5 +512,5 @@ def test_a_linear_answer_needs_no_leaves_but_the_first(rng):
         stack, 0, gantry, Region.box((0, 0, 0), (10, 10, 10)), keep_leaves=True
     )
     assert certificate.boxes == 64
-    checked = verify(certificate, stack, 0, gantry)
-    assert checked.upper_mm == pytest.approx(checked.lower_mm, rel=1e-12)
+    checked = check(certificate, stack, 0, gantry, Region.box((0, 0, 0), (10, 10, 10)))
+    assert checked.upper == pytest.approx(checked.lower, rel=1e-12)

@@ -29,8 +29,8 @@ def test_a_stack_is_certified_like_its_networks(chain, rng, activation):
         alone = certify_sup(stack, row, chain, Region.box(LOWER, UPPER))
         assert both.complete
         assert alone.complete
-        assert both.lower_mm <= alone.upper_mm
-        assert alone.lower_mm <= both.upper_mm
+        assert both.lower <= alone.upper
+        assert alone.lower <= both.upper
         assert both.boxes >= len(both.leaves.lower)
 
 
@@ -49,10 +49,10 @@ def test_two_to_six_inputs(rng, kinds, d, activation):
     points = points_in(rng, lower, upper, 3000)
     k = min(d, 3)
     miss = plain_tip(chain, plain_answer(stack, 0, points))[:, :k] - points[:, :k]
-    assert np.linalg.norm(miss, axis=1).max() <= certificate.upper_mm
-    taken = certificate.argmax_mm[None]
+    assert np.linalg.norm(miss, axis=1).max() <= certificate.upper
+    taken = certificate.argmax[None]
     error = plain_tip(chain, plain_answer(stack, 0, taken))[:, :k] - taken[:, :k]
-    assert np.linalg.norm(error) == pytest.approx(certificate.lower_mm, abs=1e-6)
+    assert np.linalg.norm(error) == pytest.approx(certificate.lower, abs=1e-6)
 
 
 def test_points_climb_but_never_leave_the_region(rng):
@@ -80,7 +80,7 @@ def test_no_time_is_still_a_bound(chain, rng):
         certify_stack(stack, chain, Region.box(LOWER, UPPER), time_limit_s=0.0)
     ):
         errors = np.linalg.norm(plain_tip(chain, plain_answer(stack, row, points)) - points, axis=1)
-        assert errors.max() <= cut.upper_mm < np.inf
+        assert errors.max() <= cut.upper < np.inf
         assert not cut.complete
 
 
@@ -265,5 +265,5 @@ def test_an_onnx_chain_is_read(tmp_path):
     np.testing.assert_allclose(network.predict(point)[0], [[6.0, 2.0]])
     certificate = certify_sup(network, 0, arm, Region.box((3, 3), (6, 6)))
     # Here the answer is (x + 1, y - 2), wrong by the same everywhere.
-    assert certificate.lower_mm == pytest.approx(np.sqrt(5))
-    assert certificate.upper_mm == pytest.approx(np.sqrt(5))
+    assert certificate.lower == pytest.approx(np.sqrt(5))
+    assert certificate.upper == pytest.approx(np.sqrt(5))

@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from certificate_cases import check
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain, load_urdf
 from iksamples.certify import residual
-from iksamples.certify.checker import verify
 from iksamples.certify.jets import cubic_remainder_mm
 from iksamples.certify.mean import certify_coverage, certify_mean
 from iksamples.certify.search import certify_stack, certify_sup
@@ -72,11 +72,11 @@ def test_no_point_is_above_and_one_point_attains_the_lower_bound(chain, rng, act
     stack = networks(rng, activation, hidden)
     for row, certificate in enumerate(certify_stack(stack, chain, Region.box(LOWER, UPPER))):
         assert certificate.complete
-        assert certificate.upper_mm <= 1.001 * certificate.lower_mm * (1 + 1e-9)
+        assert certificate.upper <= 1.001 * certificate.lower * (1 + 1e-9)
         errors = plain_errors(stack, row, box_points(rng, 30_000))
-        assert errors.max() <= certificate.upper_mm
-        taken = plain_errors(stack, row, certificate.argmax_mm[None])[0]
-        assert taken == pytest.approx(certificate.lower_mm, abs=1e-6)
+        assert errors.max() <= certificate.upper
+        taken = plain_errors(stack, row, certificate.argmax[None])[0]
+        assert taken == pytest.approx(certificate.lower, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_a_million_points_on_twenty_networks_and_none_above(chain, rng):
         certificate = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
         for _ in range(4):
             errors = plain_errors(stack, 0, box_points(rng, 250_000))
-            assert errors.max() <= certificate.upper_mm
+            assert errors.max() <= certificate.upper
 
 
 @settings(max_examples=25, deadline=None)
@@ -100,7 +100,7 @@ def test_random_networks_in_random_small_boxes(seed, activation):
     low = LOWER + rng.random(3) * (UPPER - LOWER - size)
     certificate = certify_sup(stack, 0, chain, Region.box(low, low + size), rtol=0.05)
     points = low + size * rng.random((2000, 3))
-    assert plain_errors(stack, 0, points).max() <= certificate.upper_mm
+    assert plain_errors(stack, 0, points).max() <= certificate.upper
 
 
 def test_a_constant_network_is_worst_at_the_farthest_corner(chain):
@@ -116,8 +116,8 @@ def test_a_constant_network_is_worst_at_the_farthest_corner(chain):
     tip = chain.forward_mm(pose.astype(float))
     farthest = np.where(tip > (LOWER + UPPER) / 2, LOWER, UPPER)
     certificate = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
-    np.testing.assert_allclose(certificate.argmax_mm, farthest)
-    assert certificate.lower_mm == pytest.approx(np.linalg.norm(tip - farthest))
+    np.testing.assert_allclose(certificate.argmax, farthest)
+    assert certificate.lower == pytest.approx(np.linalg.norm(tip - farthest))
 
 
 def test_prismatic_arm_has_the_error_of_its_network():
@@ -133,8 +133,8 @@ def test_prismatic_arm_has_the_error_of_its_network():
     certificate = certify_sup(stack, 0, gantry, Region.box(LOWER, UPPER))
     corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
     exact = np.linalg.norm(corners @ kernel + bias - (LOWER + 60 * corners), axis=1).max()
-    assert certificate.lower_mm <= exact + 1e-9
-    assert exact <= certificate.upper_mm <= 1.0011 * exact
+    assert certificate.lower <= exact + 1e-9
+    assert exact <= certificate.upper <= 1.0011 * exact
 
 
 def test_cubic_remainder_is_attained_by_a_single_joint():
@@ -149,12 +149,11 @@ def test_cubic_remainder_is_attained_by_a_single_joint():
 def test_the_checker_proves_what_the_search_found(chain, rng, activation):
     stack = networks(rng, activation, (12, 8))
     certificate = certify_sup(stack, 1, chain, Region.box(LOWER, UPPER), keep_leaves=True)
-    checked = verify(certificate, stack, 1, chain)
+    checked = check(certificate, stack, 1, chain, Region.box(LOWER, UPPER))
     assert checked.verified
-    assert checked.tiles
-    assert abs(checked.upper_mm - certificate.upper_mm) < 1e-6
+    assert abs(checked.upper - certificate.upper) < 1e-6
     # The same certificate is refused for another network.
-    assert not verify(certificate, stack, 0, chain).verified
+    assert not check(certificate, stack, 0, chain, Region.box(LOWER, UPPER)).verified
 
 
 def test_the_checker_refuses_a_search_without_its_cubic_term(chain, rng, monkeypatch):
@@ -162,9 +161,9 @@ def test_the_checker_refuses_a_search_without_its_cubic_term(chain, rng, monkeyp
     honest = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
     monkeypatch.setattr(residual, "cubic_remainder_mm", lambda *_: 0.0)
     broken = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
-    assert broken.upper_mm < honest.upper_mm or broken.boxes < honest.boxes
-    assert verify(honest, stack, 0, chain).verified
-    assert not verify(broken, stack, 0, chain).verified
+    assert broken.upper < honest.upper or broken.boxes < honest.boxes
+    assert check(honest, stack, 0, chain, Region.box(LOWER, UPPER)).verified
+    assert not check(broken, stack, 0, chain, Region.box(LOWER, UPPER)).verified
 
 
 def test_leaves_tile_the_box_exactly(chain, rng):
@@ -187,8 +186,8 @@ def test_an_unfinished_search_says_so_and_still_bounds(chain, rng):
     cut = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), max_boxes=9)
     assert not cut.complete
     full = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
-    assert cut.lower_mm <= full.upper_mm <= cut.upper_mm * (1 + 1e-12)
-    assert cut.upper_mm > full.upper_mm
+    assert cut.lower <= full.upper <= cut.upper * (1 + 1e-12)
+    assert cut.upper > full.upper
 
 
 def test_a_warm_start_gives_the_same_bounds(chain, rng):
@@ -196,8 +195,8 @@ def test_a_warm_start_gives_the_same_bounds(chain, rng):
     cold = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), keep_leaves=True)
     warm = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), start=cold.leaves)
     assert warm.complete
-    assert warm.lower_mm <= cold.upper_mm
-    assert cold.lower_mm <= warm.upper_mm
+    assert warm.lower <= cold.upper
+    assert cold.lower <= warm.upper
 
 
 @pytest.mark.parametrize(

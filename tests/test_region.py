@@ -2,11 +2,17 @@
 
 import numpy as np
 import pytest
-from certificate_cases import plain_answer, plain_tip, points_in, random_chain, random_network
+from certificate_cases import (
+    check,
+    plain_answer,
+    plain_tip,
+    points_in,
+    random_chain,
+    random_network,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.certify.checker import verify
 from iksamples.certify.mean import certify_coverage, certify_mean
 from iksamples.certify.search import certify_sup
 from iksamples.errors import IksamplesError
@@ -59,6 +65,11 @@ def test_regions_that_are_none(lower, upper, match):
         Region(np.array(lower, float), np.array(upper, float))
 
 
+def test_points_of_another_dimension_are_refused():
+    with pytest.raises(ValueError, match="coordinates"):
+        Region.box((0, 0), (1, 1)).contains([[0.5]])
+
+
 def test_faces_may_be_shared_and_corners_cannot_be_moved():
     region = Region(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.0, 1.0], [2.0, 1.0]]))
     assert region.volume == 2
@@ -86,10 +97,10 @@ def test_certificates_over_a_union_of_boxes(seed, activation, n):
 
     worst = certify_sup(stack, 0, chain, region, rtol=0.01, keep_leaves=True)
     assert worst.complete
-    assert region.contains(worst.argmax_mm)
-    assert errors.max() <= worst.upper_mm
-    assert errors.max() >= 0.9 * worst.lower_mm
-    assert verify(worst, stack, 0, chain).verified
+    assert region.contains(worst.argmax)
+    assert errors.max() <= worst.upper
+    assert errors.max() >= 0.9 * worst.lower
+    assert check(worst, stack, 0, chain, region).verified
 
     inside = rng.uniform(lower, upper, (20_000, 3))
     inside = inside[region.contains(inside)]

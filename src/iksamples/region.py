@@ -108,8 +108,13 @@ class Region:
 
         Returns:
             Shape (...).
+
+        Raises:
+            ValueError: The points have another number of coordinates.
         """
         x = np.asarray(points, float)
+        if x.shape[-1:] != (self.n_inputs,):
+            raise ValueError(f"expected {self.n_inputs} coordinates last, got shape {x.shape}")
         inside = np.zeros(x.shape[:-1], bool)
         for low, high in zip(self.lower, self.upper, strict=True):
             inside |= np.all((x >= low) & (x <= high), axis=-1)

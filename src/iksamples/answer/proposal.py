@@ -211,7 +211,7 @@ def _worst_points(study: Study, chain: SerialChain, network: StackedMLP, k: int)
             max_boxes=_MAX_BOXES,
             time_limit_s=np.inf,
         )
-        found += [certificate.argmax_mm for certificate in certificates]
+        found += [certificate.argmax for certificate in certificates]
     points = np.unique(np.array(found), axis=0)
     return points[reach(study, chain, points).usable]
 

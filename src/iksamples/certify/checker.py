@@ -39,10 +39,12 @@ from iksamples.certify.checker_network import (
     mixed_pairs,
     network_terms,
 )
-from iksamples.certify.search import Certificate
+from iksamples.certify.residual import Comparison
+from iksamples.certify.search import Leaves
 from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -50,77 +52,117 @@ Floats = NDArray[np.float64]
 _BATCH = 512
 
 
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """What is claimed of a network; said by whoever asks, never by a certificate.
+
+    Attributes:
+        network: Stacked networks.
+        row: Which of them it is about.
+        chain: The arm.
+        region: The inputs that it is about.
+        upper: No input of the region has a larger error [mm].
+        lower: The error at ``argmax`` is at least this [mm].
+        argmax: An input of the region, shape (d,); None where nothing is claimed of one.
+        compare: What is compared; the first coordinates with the first inputs if None.
+    """
+
+    network: StackedMLP
+    row: int
+    chain: SerialChain
+    region: Region
+    upper: float
+    lower: float = 0.0
+    argmax: Floats | None = None
+    compare: Comparison | None = None
+
+
 @dataclass(frozen=True)
 class Verification:
     """What the checker could prove.
 
     Attributes:
-        upper_mm: No position of the region has a larger error [mm]; infinite where the leaves do
-            not tile the region.
-        lower_mm: The error at the certificate's worst position is at least this [mm].
-        tiles: Whether the leaves tile the region exactly.
-        verified: Whether the certificate's bounds are proved as they stand.
-        leaves: Leaves checked.
+        upper: No input of the region has a larger error [mm]; infinite where the leaves do not tile
+            the region. This holds whether the claim does or not.
+        lower: The error at the claim's point is at least this [mm].
+        verified: Whether the claim is proved as it stands.
+        leaves: Leaves checked; none where they do not tile the region.
     """
 
-    upper_mm: float
-    lower_mm: float
-    tiles: bool
+    upper: float
+    lower: float
     verified: bool
     leaves: int
 
 
-def verify(
-    certificate: Certificate, network: StackedMLP, row: int, chain: SerialChain
-) -> Verification:
-    """Checks a certificate from its leaves.
+def verify(claim: Claim, leaves: Leaves | None) -> Verification:
+    """Proves a claim from leaves, or does not.
 
     Args:
-        certificate: What ``certify_sup(..., keep_leaves=True)`` gave.
-        network: The stacked networks.
-        row: Which of them it is for.
-        chain: The arm.
+        claim: What is to be proved.
+        leaves: Boxes over each of which the error is to be bounded (``certify_sup(...,
+            keep_leaves=True).leaves``). Only where they lie is looked at, and nothing of it is
+            trusted.
 
     Raises:
-        IksamplesError: The certificate was made without its leaves.
+        IksamplesError: There are no leaves; network, arm, region and what is compared do not fit
+            together; or a number of the network is not finite.
     """
-    leaves = certificate.leaves
     if leaves is None:
+        raise IksamplesError("there are no leaves to prove it from; certify with keep_leaves=True.")
+    net, arm, region = Network.of(claim.network, claim.row), Arm(claim.chain), claim.region
+    compare = claim.compare or Comparison.default(region.n_inputs)
+    compare.check(net.n_inputs)
+    if (net.n_inputs, net.n_outputs) != (region.n_inputs, arm.n):
         raise IksamplesError(
-            "the certificate came without its leaves; certify with keep_leaves=True."
+            f"a network of {net.n_inputs} inputs and {net.n_outputs} outputs does not fit a region "
+            f"of {region.n_inputs} inputs and an arm of {arm.n} joints."
         )
-    net = Network.of(network, row)
-    arm = Arm(chain)
-    region = certificate.region
-    tiled = tiles(leaves.part, leaves.lower, leaves.upper, region.lower.shape)
-    coordinates, inputs = list(certificate.compare.coordinates), list(certificate.compare.inputs)
+    with np.errstate(all="ignore"):  # what overflows is no bound
+        lower = _attained(net, arm, claim, compare)
+        upper = _largest(net, arm, region, leaves, compare)
+    return Verification(
+        upper,
+        lower,
+        bool(lower >= claim.lower and upper <= claim.upper < np.inf),
+        len(leaves.part) if upper < np.inf else 0,
+    )
 
-    point = certificate.argmax_mm
-    inside = bool(region.contains(point))
-    miss = arm.position(net.answer(Ball.of(point[None])))[:, coordinates] - point[None, inputs]
+
+def _attained(net: Network, arm: Arm, claim: Claim, compare: Comparison) -> float:
+    """At least this is the error at the claim's point; zero where it is not of the region."""
+    point = np.atleast_2d(np.asarray(claim.argmax, float))
+    if point.shape != (1, claim.region.n_inputs) or not claim.region.contains(point).all():
+        return 0.0
+    miss = arm.position(net.answer(Ball.of(point)))[:, compare.coordinates]
+    miss = miss - point[:, compare.inputs]
     least = np.maximum(np.abs(miss.mid) - miss.rad, 0.0)
-    lower = float(np.sqrt(np.sum(least**2)) * (1.0 - 32.0 * UNIT)) if inside else 0.0
+    length = float(np.sqrt(np.sum(least**2)) * (1.0 - 32.0 * UNIT))
+    return length if np.isfinite(length) else 0.0
 
-    upper = lower
-    for first in range(0, len(leaves.lower) if tiled else 0, _BATCH):
+
+def _largest(net: Network, arm: Arm, region: Region, leaves: Leaves, compare: Comparison) -> float:
+    """At most this is the error anywhere in the region; infinite if the leaves do not prove it."""
+    if not tiles(leaves.part, leaves.lower, leaves.upper, region.lower.shape):
+        return np.inf
+    upper = 0.0
+    for first in range(0, len(leaves.part), _BATCH):
         some = slice(first, first + _BATCH)
-        low, high = (Ball.of(walls[leaves.part[some]]) for walls in (region.lower, region.upper))
+        part = leaves.part[some]
+        low, high = Ball.of(region.lower[part]), Ball.of(region.upper[part])
         # Shares of the edges are binary fractions: their half sums and differences are exact.
         middle = 0.5 * (leaves.lower[some] + leaves.upper[some])
         half = 0.5 * (leaves.upper[some] - leaves.lower[some])
         bounds = _bounds(
-            net, arm, low + (high - low) * middle, (high - low) * half, coordinates, inputs
+            net,
+            arm,
+            low + (high - low) * middle,
+            (high - low) * half,
+            list(compare.coordinates),
+            list(compare.inputs),
         )
-        upper = max(upper, float(bounds.max()) if not np.isnan(bounds).any() else np.inf)
-    if not tiled:
-        upper = np.inf
-    return Verification(
-        upper,
-        lower,
-        tiled,
-        bool(upper <= certificate.upper_mm and lower >= certificate.lower_mm),
-        len(leaves.lower),
-    )
+        upper = max(upper, float(np.where(np.isnan(bounds), np.inf, bounds).max()))
+    return upper
 
 
 def _bounds(

@@ -1,6 +1,7 @@
 """The checker's own enclosure of a network, in ball arithmetic."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from iksamples.certify.balls import (
     sum_above,
     up,
 )
+from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 
 
@@ -31,14 +33,35 @@ class Network:
 
     @classmethod
     def of(cls, network: StackedMLP, row: int) -> "Network":
-        """One network of a stack; float32 numbers are float64 numbers."""
-        return cls(
-            [weight[row].astype(np.float64) for weight in network.weights],
-            [bias[row].astype(np.float64) for bias in network.biases],
-            network.activation,
-            network.offset_mm,
-            network.scale_mm,
-        )
+        """One network of a stack; float32 numbers are float64 numbers.
+
+        Raises:
+            IksamplesError: It is no network that is known here, or not all of it is finite.
+        """
+        weights = [np.array(weight[row], np.float64) for weight in network.weights]
+        biases = [np.array(bias[row], np.float64) for bias in network.biases]
+        offset, scale = (np.array(v, np.float64) for v in (network.offset_mm, network.scale_mm))
+        widths = [len(offset), *(len(bias) for bias in biases)]
+        if not (
+            0 <= row < network.n_seeds
+            and network.activation in ("relu", "tanh")
+            and [weight.shape for weight in weights] == list(pairwise(widths))
+            and offset.shape == scale.shape
+            and all(np.isfinite(v).all() for v in (*weights, *biases, offset, scale))
+            and scale.all()
+        ):
+            raise IksamplesError("the checker knows only finite networks of relu or tanh layers.")
+        return cls(weights, biases, network.activation, offset, scale)
+
+    @property
+    def n_inputs(self) -> int:
+        """Width of the input."""
+        return len(self.offset)
+
+    @property
+    def n_outputs(self) -> int:
+        """Width of the output."""
+        return len(self.biases[-1])
 
     def answer(self, positions: Ball) -> Ball:
         """Joint values at points, shape (points, joints)."""

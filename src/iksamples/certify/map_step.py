@@ -129,8 +129,8 @@ def _training(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.Da
         {
             "seed": np.array(sound.seeds),
             "epoch": np.asarray(epochs)[finite],
-            "sup_lower_mm": [c.lower_mm for c in certificates],
-            "sup_upper_mm": [c.upper_mm for c in certificates],
+            "sup_lower_mm": [c.lower for c in certificates],
+            "sup_upper_mm": [c.upper for c in certificates],
             "training_mean_mm": errors.mean(axis=1),
             "training_max_mm": errors.max(axis=1),
             "complete": [c.complete for c in certificates],

@@ -57,6 +57,18 @@ class Comparison:
         n = min(n_inputs, 3)
         return cls(tuple(range(n)), tuple(range(n)))
 
+    def check(self, n_inputs: int) -> None:
+        """Raises an IksamplesError unless the tip and that many inputs can be compared so."""
+        if not (
+            0 < len(self.coordinates) == len(self.inputs)
+            and all(0 <= i < 3 for i in self.coordinates)
+            and all(0 <= i < n_inputs for i in self.inputs)
+        ):
+            raise IksamplesError(
+                f"cannot compare coordinates {self.coordinates} of the tip with inputs "
+                f"{self.inputs} of a network that has {n_inputs}."
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Residual:
@@ -155,16 +167,7 @@ class ErrorOverBoxes:
                 f"the network answers {self.layers.n_outputs} joint values, the arm has "
                 f"{self.linkage.n_joints} joints."
             )
-        coordinates, inputs = self.compare.coordinates, self.compare.inputs
-        if not (
-            0 < len(coordinates) == len(inputs)
-            and all(0 <= i < 3 for i in coordinates)
-            and all(0 <= i < self.layers.n_inputs for i in inputs)
-        ):
-            raise IksamplesError(
-                f"cannot compare coordinates {coordinates} of the tip with inputs {inputs} of a "
-                f"network that has {self.layers.n_inputs}."
-            )
+        self.compare.check(self.layers.n_inputs)
         self.slack_mm = _SLACK * rounding_slack_mm(self.layers, self.linkage, region, FLOAT64)
 
     @property

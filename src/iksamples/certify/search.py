@@ -69,52 +69,27 @@ class Leaves:
 
 
 @dataclass(frozen=True, eq=False)
-class Supremum:
-    """A supremum over the region, enclosed.
+class Certificate:
+    """A largest value over a region, enclosed.
+
+    What the search states is not proved until ``checker.verify`` has proved it.
 
     Attributes:
-        lower: A value that is taken.
-        upper: No value exceeds this.
-        argmax_mm: Where ``lower`` is taken, shape (d,).
+        lower: A value that is taken, at ``argmax``, in the objective's unit.
+        upper: No value over the region is larger.
+        argmax: Where the largest known value is, shape (d,).
         boxes: Boxes bounded.
         seconds: Time spent; a share of it where several networks were searched together.
         complete: Whether the two met to the tolerance asked for. ``upper`` holds in any case.
-        leaves: The boxes of the proof, if kept.
+        leaves: The boxes of the proof, for the checker; None unless kept.
     """
 
     lower: float
     upper: float
-    argmax_mm: Floats
+    argmax: Floats
     boxes: int
     seconds: float
     complete: bool
-    leaves: Leaves | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """A certified worst-case position error over a region.
-
-    Attributes:
-        lower_mm: An error that is taken, at ``argmax_mm`` [mm].
-        upper_mm: No position of the region has a larger error [mm].
-        argmax_mm: Where the largest known error is [mm], shape (d,).
-        boxes: Boxes bounded.
-        seconds: Time spent.
-        complete: Whether upper and lower met to the tolerance. ``upper_mm`` holds in any case.
-        region: The inputs that it is about.
-        compare: What is compared.
-        leaves: The boxes of the proof, for the checker; None unless kept.
-    """
-
-    lower_mm: float
-    upper_mm: float
-    argmax_mm: Floats
-    boxes: int
-    seconds: float
-    complete: bool
-    region: Region
-    compare: Comparison
     leaves: Leaves | None = None
 
 
@@ -190,43 +165,29 @@ def certify_stack(
         if not tiles(start.part, start.lower, start.upper, region.lower.shape):
             raise IksamplesError("the boxes to start from do not tile the region.")
         first = start.part, start.lower, start.upper - start.lower
-    found = maximise(
+    return maximise(
         objective,
         rtol=rtol,
-        atol=float(2.0 * objective.slack_mm.max()),
+        slack=objective.slack_mm,
         seeds_mm=seeds_mm,
         max_boxes=max_boxes,
         time_limit_s=time_limit_s,
         keep_leaves=keep_leaves,
         first=first,
     )
-    return [
-        Certificate(
-            max(item.lower - float(objective.slack_mm[row]), 0.0),
-            item.upper,
-            item.argmax_mm,
-            item.boxes,
-            item.seconds,
-            item.complete,
-            region,
-            objective.compare,
-            item.leaves,
-        )
-        for row, item in enumerate(found)
-    ]
 
 
 def maximise(
     objective: Objective,
     *,
     rtol: float,
-    atol: float = 0.0,
+    slack: Floats,
     seeds_mm: ArrayLike | None = None,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
     first: tuple[Ints, Floats, Floats] | None = None,
-) -> list[Supremum]:
+) -> list[Certificate]:
     """Encloses the supremum over the objective's region for each network.
 
     A box whose upper bound is within the tolerance of the best value found anywhere is a leaf; any
@@ -236,7 +197,7 @@ def maximise(
     Args:
         objective: What to maximise.
         rtol: Relative tolerance.
-        atol: Absolute tolerance, in the objective's unit.
+        slack: How far rounding may put a value off, by network, shape (networks,).
         seeds_mm: Points of the region worth trying, shape (n, d).
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
@@ -280,7 +241,7 @@ def maximise(
         boxes += np.bincount(w, minlength=n)
         _try(objective, best, argmax, w, at, bound, centre, candidate, len(now) >= _BATCH)
 
-        done = bound <= np.maximum((1.0 + rtol) * best, best + atol)[w]
+        done = bound <= np.maximum((1.0 + rtol) * best, best + 2.0 * slack)[w]
         _keep(kept, settled, keep_leaves, w, at, lo, ed, bound, done)
         of, lo, ed = _split(lo[~done], ed[~done], weight[~done], int(wait.sum()))
         w, at, bound = w[~done][of], at[~done][of], bound[~done][of]
@@ -289,11 +250,11 @@ def maximise(
         hopes = np.concatenate([hopes[wait], bound])
 
     seconds = (time.perf_counter() - began) / n
-    threshold = np.maximum((1.0 + rtol) * best, best + atol)
+    threshold = np.maximum((1.0 + rtol) * best, best + 2.0 * slack)
     leaves = _gather(kept, n) if keep_leaves else [None] * n
     return [
-        Supremum(
-            float(best[row]),
+        Certificate(
+            float(max(best[row] - slack[row], 0.0)),
             float(max(settled[row], best[row])),
             argmax[row],
             int(boxes[row]),

@@ -25,11 +25,12 @@ def tiles(part: NDArray, lower: NDArray, upper: NDArray, shape: tuple[int, int])
         shape: Number of boxes of the region, and d.
 
     Returns:
-        False also for arrays of any other shape or type.
+        False also for anything but arrays of these shapes and types.
     """
     boxes, d = shape
     if not (
-        part.ndim == 1
+        all(type(array) is np.ndarray for array in (part, lower, upper))
+        and part.ndim == 1
         and part.dtype == np.int64
         and lower.dtype == upper.dtype == np.float64
         and lower.shape == upper.shape == (len(part), d)

@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from iksamples.cli.common import (
-    app,
-    rounded_up,
-)
+from iksamples.cli.common import app
 
 
 @app.command()
@@ -36,10 +33,12 @@ def certify(
 ) -> None:
     """Prove the largest position error of any networks over a box, and check the proof."""
     from iksamples.arm.chain import load_urdf
-    from iksamples.certify.checker import verify
+    from iksamples.certify.checker import Claim, verify
     from iksamples.certify.external import load_network
+    from iksamples.certify.printing import point, rounded_down, rounded_up
     from iksamples.certify.rounding import inference_slack_mm
     from iksamples.certify.search import certify_stack
+    from iksamples.errors import IksamplesError
     from iksamples.region import Region
 
     network = load_network(weights, activation=activation, offset_mm=offset_mm, scale_mm=scale_mm)
@@ -48,14 +47,17 @@ def certify(
     slack_mm = inference_slack_mm(network, chain, region)
     proofs = certify_stack(network, chain, region, rtol=rtol, keep_leaves=True)
     for row, proof in enumerate(proofs):
-        checked = verify(proof, network, row, chain).verified
-        where = "({:.4g}, {:.4g}, {:.4g})".format(*proof.argmax_mm)
+        claim = Claim(network, row, chain, region, proof.upper, proof.lower, proof.argmax)
+        if not verify(claim, proof.leaves).verified:
+            raise IksamplesError(
+                f"{weights}: seed {network.seeds[row]}: the search's bound could not be checked, "
+                "so it is none."
+            )
         typer.echo(
             f"seed {network.seeds[row]}: no position of the box is missed by more than "
-            f"{rounded_up(proof.upper_mm)} mm; "
-            f"at {where} mm it is missed by {proof.lower_mm:.4f} mm "
-            f"({'checked' if checked else 'NOT CHECKED'}, {proof.boxes} boxes"
-            f"{'' if proof.complete else ', search not finished'})"
+            f"{rounded_up(proof.upper)} mm; "
+            f"at {point(proof.argmax)} mm it is missed by {rounded_down(proof.lower)} mm "
+            f"(checked, {proof.boxes} boxes{'' if proof.complete else ', search not finished'})"
         )
     if offset_mm is None and scale_mm is None and weights.suffix != ".safetensors":
         typer.echo("Positions go into the network as they are, in mm (no --offset-mm, --scale-mm).")

@@ -1,6 +1,5 @@
 """What the commands share: the application, its options, and opening and writing files."""
 
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -99,11 +98,6 @@ def require_feasible(study: "Study", chain: "SerialChain") -> None:
 
     require_workspace(study, chain)
     require_reachable(study, chain)
-
-
-def rounded_up(bound_mm: float) -> str:
-    """An upper bound in four decimals, rounded up."""
-    return f"{math.ceil(bound_mm * 1e4) / 1e4:.4f}"
 
 
 @contextmanager
