@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
-from iksamples.arm.chain import SerialChain, load_urdf
+from iksamples.arm.chain import SerialChain
+from iksamples.arm.load import load_arm
 from iksamples.certify.checker import Claim, verify
 from iksamples.certify.search import certify_sup
 from iksamples.network import StackedMLP
@@ -44,7 +45,7 @@ def make_chain(axes: list, points: list, tip: tuple) -> SerialChain:
 
 # The paper's arm, one like a UR5 and one like an iiwa, each with a pose in its middle.
 ARMS = {
-    "3R": (load_urdf(Path(__file__).parents[1] / "config/robots/rrr70.urdf"), [0.8, -1.2, -1.6]),
+    "3R": (load_arm(Path(__file__).parents[1] / "config/robots/rrr70.urdf"), [0.8, -1.2, -1.6]),
     "6R": (
         make_chain(
             [Z, Y, Y, Y, (0, 0, -1), Y],

@@ -9,7 +9,8 @@ from certificate_cases import check
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iksamples.arm.chain import SerialChain, load_urdf
+from iksamples.arm.chain import SerialChain
+from iksamples.arm.load import load_arm
 from iksamples.certify import residual
 from iksamples.certify.jets import cubic_remainder_mm
 from iksamples.certify.mean import certify_coverage, certify_mean
@@ -94,7 +95,7 @@ def test_a_million_points_on_twenty_networks_and_none_above(chain, rng):
 @given(seed=st.integers(0, 2**32 - 1), activation=st.sampled_from(["relu", "tanh"]))
 def test_random_networks_in_random_small_boxes(seed, activation):
     rng = np.random.default_rng(seed)
-    chain = load_urdf("config/robots/rrr70.urdf")
+    chain = load_arm("config/robots/rrr70.urdf")
     stack = networks(rng, activation, (int(rng.integers(1, 9)),), n=1, spread=rng.uniform(0.2, 3))
     size = 10 ** rng.uniform(-2, 1.5)
     low = LOWER + rng.random(3) * (UPPER - LOWER - size)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from iksamples.arm.chain import load_urdf
+from iksamples.arm.load import load_arm
 from iksamples.paper import claims
 from iksamples.paper import equations as paper
 from iksamples.paper.evidence import Ends, Evidence, GridEvidence
@@ -125,7 +125,7 @@ def test_where_the_worst_point_is(place: tuple[float, ...], verdict: str, words:
 
 def test_the_arms_jacobian_by_hand() -> None:
     """Home pose of the arm, worked out by hand: a row sum of 140 mm/rad."""
-    chain = load_urdf(Path(__file__).parents[1] / "config/robots/rrr70.urdf")
+    chain = load_arm(Path(__file__).parents[1] / "config/robots/rrr70.urdf")
     jacobian = chain.jacobian_mm([np.pi / 2, -np.pi / 2, -np.pi / 2])
     sums = np.abs(jacobian).sum(axis=-1)
     assert sums.max() == pytest.approx(140)

@@ -6,7 +6,6 @@ pose of the tool there. Nothing else of a URDF or a DH table matters for where t
 """
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -161,13 +160,13 @@ class SerialChain:
         return np.all((q >= self.lower - tolerance) & (q <= self.upper + tolerance), axis=-1)
 
     def with_limits(self, limits: dict[str, tuple[float, float]]) -> "SerialChain":
-        """The same chain with some joint limits replaced.
+        """The same chain with some joint limits replaced, so that every joint has limits.
 
         Args:
             limits: Joint name -> (lower, upper) [rad or mm].
 
         Raises:
-            IksamplesError: A name is not a joint of the chain.
+            IksamplesError: A name is not a joint of the chain, or a joint has no limits.
         """
         lower, upper = self.lower.copy(), self.upper.copy()
         for name, (low, high) in limits.items():
@@ -178,6 +177,19 @@ class SerialChain:
                 )
             i = self.joint_names.index(name)
             lower[i], upper[i] = low, high
+        for name, unit, low, high in zip(
+            self.joint_names, self.joint_units, lower, upper, strict=True
+        ):
+            if not np.isfinite(high - low):
+                raise IksamplesError(
+                    f"joint '{name}' has no limits in its file; give them as "
+                    f"robot.limits_{unit}.{name}: [lower, upper]."
+                )
+            if low >= high:
+                raise IksamplesError(
+                    f"robot.limits_{unit}.{name}: the lower limit {low:g} is not below the upper "
+                    f"one {high:g}."
+                )
         return replace(self, lower=lower, upper=upper)
 
     def with_tool(self, offset_mm: ArrayLike) -> "SerialChain":
@@ -243,108 +255,3 @@ def roll_pitch_yaw(angles: ArrayLike) -> Floats:
         [-sp, cp * sr, cp * cr],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def load_urdf(
-    path: str | Path, base_link: str | None = None, tip_link: str | None = None
-) -> SerialChain:
-    """Reads the chain between two links of a URDF.
-
-    Args:
-        path: URDF file (lengths in metres, angles in radians).
-        base_link: First link; the file's root link if None.
-        tip_link: Link whose origin is the tool centre point; if None, the only leaf of the tree.
-
-    Returns:
-        The chain, with lengths in millimetres. Fixed joints are folded in; a continuous joint gets
-        the limits -pi and pi.
-
-    Raises:
-        IksamplesError: The file cannot be read, a link is missing, the tip is ambiguous, or a joint
-            between the links is of a kind that is not supported.
-    """
-    # Here, not at the top: most steps only ever see a chain that is already read.
-    from urdf_parser_py import urdf as parser
-    from urdf_parser_py.xml_reflection.core import ParseError
-
-    path = Path(path)
-    try:
-        # Parsed from bytes, since lxml refuses text that declares an encoding.
-        robot = parser.URDF.from_xml_string(path.read_bytes())
-    except OSError as error:
-        raise IksamplesError(f"{path}: cannot read the URDF ({error.strerror}).") from None
-    except (ParseError, ValueError, SyntaxError) as error:
-        raise IksamplesError(f"{path}: not a valid URDF ({error}).") from None
-
-    base = base_link or robot.get_root()
-    parents = {joint.parent for joint in robot.joints}
-    leaves = [link.name for link in robot.links if link.name not in parents]
-    if tip_link is None and len(leaves) != 1:
-        raise IksamplesError(
-            f"{path}: the arm has {len(leaves)} end links ({', '.join(leaves)}); "
-            "name one as robot.tip_link."
-        )
-    tip = tip_link or leaves[0]
-    for link in (base, tip):
-        if link not in robot.link_map:
-            raise IksamplesError(
-                f"{path}: no link '{link}'; the links are {', '.join(robot.link_map)}."
-            )
-    try:
-        names = robot.get_chain(base, tip, links=False)
-    except KeyError:
-        raise IksamplesError(f"{path}: link '{tip}' does not hang from link '{base}'.") from None
-
-    frame = np.eye(4)  # the current joint's frame in the base frame, all joints at zero
-    joint_names: list[str] = []
-    kinds: list[JointKind] = []
-    axes, points, lower, upper = [], [], [], []
-    for name in names:
-        joint = robot.joint_map[name]
-        frame = frame @ _transform(joint.origin)
-        if joint.type == "fixed":
-            continue
-        if joint.type not in ("revolute", "continuous", "prismatic"):
-            raise IksamplesError(
-                f"{path}: joint '{name}' is {joint.type}; only fixed, revolute, continuous and "
-                "prismatic joints are supported."
-            )
-        if joint.mimic is not None:
-            raise IksamplesError(
-                f"{path}: joint '{name}' mimics another joint, which is not supported."
-            )
-        axis = frame[:3, :3] @ np.asarray(joint.axis or (1.0, 0.0, 0.0), float)
-        unit = MM_PER_M if joint.type == "prismatic" else 1.0
-        low, high = (
-            (-np.pi, np.pi)
-            if joint.type == "continuous"
-            else (joint.limit.lower * unit, joint.limit.upper * unit)
-        )
-        joint_names.append(name)
-        kinds.append("prismatic" if joint.type == "prismatic" else "revolute")
-        axes.append(axis / np.linalg.norm(axis))
-        points.append(frame[:3, 3] * MM_PER_M)
-        lower.append(low)
-        upper.append(high)
-    if not joint_names:
-        raise IksamplesError(f"{path}: no moving joint between '{base}' and '{tip}'.")
-    return SerialChain(
-        tuple(joint_names),
-        tuple(kinds),
-        np.array(axes),
-        np.array(points),
-        frame[:3, 3] * MM_PER_M,
-        np.array(lower),
-        np.array(upper),
-        frame[:3, :3],
-    )
-
-
-def _transform(origin: object) -> Floats:
-    """A URDF origin (metres, fixed-axis roll, pitch, yaw in radians) as a 4 x 4 matrix."""
-    matrix = np.eye(4)
-    if origin is None:
-        return matrix
-    matrix[:3, :3] = roll_pitch_yaw(getattr(origin, "rpy", None) or (0.0, 0.0, 0.0))
-    matrix[:3, 3] = getattr(origin, "xyz", None) or (0.0, 0.0, 0.0)
-    return matrix

@@ -2,8 +2,9 @@
 
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import SerialChain, load_urdf
+from iksamples.arm.chain import SerialChain
 from iksamples.arm.inverse import Solution, solve
+from iksamples.arm.load import load_arm
 from iksamples.arm.target import Target
 from iksamples.study import Study
 
@@ -15,7 +16,7 @@ def study_chain(study: Study) -> SerialChain:
         IksamplesError: The URDF or a setting of ``robot`` is wrong.
     """
     robot = study.robot
-    return load_urdf(robot.urdf, robot.base_link, robot.tip_link).with_limits(robot.limits_rad)
+    return load_arm(robot.urdf, robot.base_link, robot.tip_link).with_limits(robot.limits_rad)
 
 
 def reach(study: Study, chain: SerialChain, positions_mm: ArrayLike) -> Solution:

@@ -32,7 +32,7 @@ def certify(
     rtol: Annotated[float, typer.Option(min=1e-6, max=1, help="Gap of the bounds.")] = 1e-3,
 ) -> None:
     """Prove the largest position error of any networks over a box, and check the proof."""
-    from iksamples.arm.chain import load_urdf
+    from iksamples.arm.load import load_arm
     from iksamples.certify.checker import Claim, verify
     from iksamples.certify.external import load_network
     from iksamples.certify.printing import point, rounded_down, rounded_up
@@ -42,7 +42,7 @@ def certify(
     from iksamples.region import Region
 
     network = load_network(weights, activation=activation, offset_mm=offset_mm, scale_mm=scale_mm)
-    chain = load_urdf(robot)
+    chain = load_arm(robot)
     region = Region.box(box[:3], box[3:])
     slack_mm = inference_slack_mm(network, chain, region)
     proofs = certify_stack(network, chain, region, rtol=rtol, keep_leaves=True)
