@@ -1,4 +1,4 @@
-"""What is proved for the pictures: the boxes, the training's bound, and the report's section."""
+"""What is proved for the pictures: the boxes, and the training's bound."""
 
 from itertools import product
 from pathlib import Path
@@ -14,9 +14,6 @@ from iksamples.arm.chain import SerialChain
 from iksamples.certify.map_step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.network import StackedMLP, write_tensors
-from iksamples.report import sections_map
-from iksamples.report.blocks import Figure, Text
-from iksamples.report.data import Grid, ReportData
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
@@ -163,40 +160,3 @@ def test_a_full_box_merges_into_one() -> None:
     np.testing.assert_array_equal(merged_low, [[0, 0, 0]])
     np.testing.assert_array_equal(merged_high, [[4, 4, 4]])
     assert len(merge_boxes(np.empty((0, 3)), np.empty((0, 3)))[0]) == 0
-
-
-def test_the_section_says_what_the_files_say(small: Study, chain: SerialChain, cell: Cell) -> None:
-    tables = {name: cell.table(name) for name in ("members", "waypoints", "errors")}
-    nothing = pd.DataFrame()
-    grid = Grid(samples=cell.samples, history=nothing, bounds=nothing, n_workspace=256, **tables)
-    data = ReportData(
-        small, chain, cell.results, cell.results, nothing, [grid], nothing, "run", None
-    )
-    assert sections_map.where_and_when(data) is None
-    proved = map_cell(small, chain, cell)
-    for name, table in proved.items():
-        table.to_parquet(cell.folder / f"{name}.parquet")
-    section = sections_map.where_and_when(data)
-    assert section is not None
-    share, error_map, bound, moved = section.blocks
-
-    def of_seed(table: pd.DataFrame) -> pd.DataFrame:
-        return table[table["seed"] == grid.median_seed(data.first_path)]
-
-    head = of_seed(proved["unsafe"]).iloc[0]
-    assert isinstance(share, Text)
-    assert f"Between {100 * head['safe_lower']:.1f} % and {100 * head['safe_upper']:.1f} %" in (
-        share.text
-    )
-    assert isinstance(moved, Text)
-    last = of_seed(proved["training_bound"]).iloc[-1]
-    assert f"ends at {last['sup_upper_mm']:.1f} mm" in moved.text
-    assert isinstance(error_map, Figure)
-    assert len([axis for axis in error_map.drawing.axes if "z = " in axis.get_title("left")]) == 3
-    assert isinstance(bound, Figure)
-    [axis] = bound.drawing.axes
-    assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
-    line = axis.get_lines()[0]
-    np.testing.assert_array_equal(line.get_xdata(), EPOCHS[1:])
-    rows = of_seed(proved["training_bound"])
-    np.testing.assert_array_equal(line.get_ydata(), rows["sup_upper_mm"][1:])

@@ -193,12 +193,12 @@ def test_several_designs_and_fresh_seeds(tmp_path):
     snakemake(folder, *command)
     report = (folder / "reports/tiny/README.md").read_text(encoding="utf-8")
     assert "nan" not in report.lower()
-    assert "e/d is" not in report
-    assert "## Where the samples are" in report
+    assert "Error over spacing" not in report
+    assert "Samples placed" in report
     checks = read_calibrations(folder / "results/tiny")
     assert {check.design for check in checks} <= {"sobol", "grid"}
     assert all(check.at.n_seeds == 7 for check in checks)
-    assert "## Does the answer keep its word?" in report
+    assert ("fresh trainings?" in report) == bool(checks)
     assert planned(folder, *command[2:]) == set()
     turned = [change.replace("['sobol', 'grid']", "['grid', 'sobol']") for change in changes]
     assert {"table", "answer", "report"} <= planned(folder, *command[2:5], *turned)

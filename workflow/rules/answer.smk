@@ -8,7 +8,7 @@ REQUIRED INPUTS
     results/<study>/<method>/certificates.csv
 OUTPUTS
     results/<study>/runs.parquet, certificates.csv
-    results/<study>/table.csv
+    results/<study>/table.csv, claims.csv
     results/<study>/answer.json, samples-needed.csv
     results/<study>/calibration.json, where the study asks for fresh trainings
 """
@@ -54,17 +54,22 @@ rule table:
             samples=LABELS,
             table=["members", "errors", "bounds"],
         ),
+        weights=expand(
+            "results/{{study}}/network/{samples}/weights.safetensors",
+            samples=FIRST_LABELS,
+        ),
         certificates="results/{study}/certificates.csv",
     output:
         "results/{study}/table.csv",
+        "results/{study}/claims.csv",
     log:
         "results/{study}/logs/table.log",
     benchmark:
         "results/{study}/benchmarks/table.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("samples", "evaluation", "bounds"),
-        code=source_digest("iksamples.paper.table"),
+        settings=settings("robot", "workspace", "samples", "evaluation", "bounds"),
+        code=source_digest("iksamples.paper.table", "iksamples.paper.gather"),
         results="results/{study}",
     shell:
         "iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"

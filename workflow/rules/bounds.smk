@@ -76,7 +76,7 @@ rule map:
         expand(
             "results/{{study}}/network/{samples}/{table}.parquet",
             samples=FIRST_LABELS,
-            table=["training_bound", "unsafe"],
+            table=["training_bound", "unsafe", "slices"],
         ),
     log:
         "results/{study}/logs/map.log",
@@ -85,7 +85,7 @@ rule map:
     params:
         study="results/{study}/study.json",
         settings=settings("robot", "workspace", "evaluation", "tolerance"),
-        code=source_digest("iksamples.certify.map_step"),
+        code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
         results="results/{study}",
     shell:
         "iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"

@@ -3,6 +3,8 @@ The study, validated before any job, and what the rules share.
 """
 
 import json
+import os
+import shlex
 import sys
 from pathlib import Path
 
@@ -54,10 +56,10 @@ def settings(*sections):
 
 
 def typed_command():
-    """What a user types to run this study."""
-    files = [str(file) for file in workflow.overwrite_configfiles]
-    return " ".join(
-        ["snakemake --cores 2", *(["--configfile", *files] if files else [])]
+    """What a user types in this folder to run this study."""
+    files = [os.path.relpath(file) for file in workflow.overwrite_configfiles]
+    return shlex.join(
+        ["snakemake", "--cores", "2", *(["--configfile", *files] if files else [])]
     )
 
 

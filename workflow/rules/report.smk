@@ -2,10 +2,12 @@
 Report: one page that opens offline, and a Markdown twin for the repository.
 
 REQUIRED INPUTS
-    results/<study>/table.csv and everything in results/<study>/network/
+    results/<study>/{runs.parquet,answer.json,samples-needed.csv,certificates.csv}
+    results/<study>/{table,claims}.csv, where it is held against the paper
+    everything in results/<study>/network/
 OUTPUTS
     reports/<study>/index.html, README.md and figures/
-    reports/index.html, which links the reports of all studies
+    reports/index.html, which has the question and answer of all studies
 """
 
 
@@ -13,7 +15,8 @@ rule report:
     """Build the report."""
     input:
         urdf=STUDY.robot.urdf,
-        table="results/{study}/table.csv",
+        runs="results/{study}/runs.parquet",
+        paper=multiext("results/{study}/", "table.csv", "claims.csv"),
         answer="results/{study}/answer.json",
         calibration=(
             "results/{study}/calibration.json" if STUDY.calibration.seeds else []
@@ -21,7 +24,7 @@ rule report:
         maps=expand(
             "results/{{study}}/network/{samples}/{table}.parquet",
             samples=FIRST_LABELS,
-            table=["training_bound", "unsafe"],
+            table=["training_bound", "unsafe", "slices"],
         ),
     output:
         html=report("reports/{study}/index.html", category="Report"),

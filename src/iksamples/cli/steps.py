@@ -122,12 +122,20 @@ def prove(
 @app.command("map")
 def map_(study_file: StudyFile, results: Results) -> None:
     """Prove where the shown networks miss the tolerance, and their worst case along training."""
-    from iksamples.certify.map_step import map_cell
+    import pandas as pd
+
+    from iksamples.certify.map_step import map_cell, shown_seeds
+    from iksamples.evaluation.slices import error_slices
     from iksamples.results import cells
 
     study, chain = open_study(study_file)
     for cell in cells(study, results):
-        for name, rows in map_cell(study, chain, cell).items():
+        shown = [
+            error_slices(study, chain, cell.network, seed) for seed in shown_seeds(study, cell)
+        ]
+        tables = map_cell(study, chain, cell)
+        tables["slices"] = pd.concat(shown) if shown else pd.DataFrame(columns=["seed"])
+        for name, rows in tables.items():
             with whole_file(cell.folder / f"{name}.parquet") as file:
                 rows.to_parquet(file)
 
@@ -149,17 +157,22 @@ def collect(study_file: StudyFile, results: Results) -> None:
 
 @app.command()
 def table(study_file: StudyFile, results: Results) -> None:
-    """Aggregate over seeds: table.csv beside the paper's Table 1."""
+    """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
     import pandas as pd
 
+    from iksamples.paper.gather import claims_table
     from iksamples.paper.table import study_table
     from iksamples.results import cells
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study, chain = open_study(study_file)
     proofs = pd.read_csv(results / "certificates.csv")
-    with whole_file(results / "table.csv") as file:
-        study_table(study, cells(study, results), proofs).to_csv(file, index=False)
+    tables = {
+        "table.csv": study_table(study, cells(study, results), proofs),
+        "claims.csv": claims_table(study, chain, results, proofs),
+    }
+    for name, rows in tables.items():
+        with whole_file(results / name) as file:
+            rows.to_csv(file, index=False)
 
 
 @app.command()
@@ -247,4 +260,4 @@ def report(
     from iksamples.study import read_study
 
     write_report(read_study(study_file), results, output, command)
-    write_front_page(output.parent, results.parent)
+    write_front_page(output.parent, output.parent.parent / "docs" / "studies")

@@ -7,6 +7,15 @@ from typing import NamedTuple
 from iksamples.arm.chain import Floats
 
 
+AVERAGE_NAMES = {
+    "mean": "mean of w",
+    "mean_abs": "mean of |w|",
+    "rms": "rms of w",
+    "max_abs": "largest |w|",
+}
+"""Meanings of the paper's average weight, in words."""
+
+
 class Ends(NamedTuple):
     """An estimate with its 95 % interval; the ends are NaN where there is none."""
 

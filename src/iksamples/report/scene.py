@@ -1,75 +1,80 @@
 """What the view in three dimensions shows, as plain numbers for the page's script."""
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
-from iksamples.arm.chain import Floats
-from iksamples.report.data import Grid, ReportData, Track
-from iksamples.report.wording import path_name
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.report.data import ReportData
+from iksamples.report.views import Strokes
 
 
 _MOST_POINTS = 1000
 _MOST_WAYPOINTS = 300
 _BUDGET = 120_000
-"""Numbers of all polylines together, which keeps the page well under its limit."""
+"""Numbers of all polylines together, which keeps the page small."""
 
 
-def scene(data: ReportData) -> dict[str, object]:
-    """Workspace, paths, and for every grid the training points, networks and arm poses.
+def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict[str, object]:
+    """Workspace, paths, and for every set of samples its points, networks and arm poses.
 
-    Of each grid and path the best, the median and the worst network (by mean error on the path)
-    are kept, thinned alike. Lengths in millimetres, positions flattened to x, y, z, x, y, z...
+    Of each set and path the best, the median and the worst network (by mean error on the path) are
+    kept, thinned alike. Lengths in millimetres, positions flattened to x, y, z, x, y, z...
+
+    Args:
+        data: The report's data.
+        chain: The arm.
+        waypoints: Every waypoint of every network that did not diverge.
     """
     box = data.study.workspace
-    largest = max(
-        len(data.grids[0].track(path, data.grids[0].median_seed(path)).error_mm)
-        for path in data.paths
-    )
-    lines = len(data.grids) * len(data.paths) * 3 * (1 + data.chain.n_joints)
-    most = int(np.clip(_BUDGET // (3 * lines), 24, min(_MOST_WAYPOINTS, largest)))
+    paths = list(data.study.evaluation.paths)
+    lines = len(data.cells) * len(paths) * 3 * (1 + chain.n_joints)
+    most = int(np.clip(_BUDGET // (3 * lines), 24, _MOST_WAYPOINTS))
+    first = waypoints[waypoints["label"] == next(iter(data.cells))]
+    drawn = [Strokes(_one(first, path, first["seed"].iloc[0])) for path in paths]
     return {
         "box": [list(box.lower_mm), list(box.upper_mm)],
-        "paths": [_path(data, path, most) for path in data.paths],
-        "grids": [_grid(data, grid, most) for grid in data.grids],
+        "paths": [
+            {
+                "name": name,
+                "target": _flat(path.target[_keep(path, most)]),
+                "breaks": np.searchsorted(_keep(path, most), path.breaks).tolist(),
+            }
+            for name, path in zip(paths, drawn, strict=True)
+        ],
+        "grids": [_set(data, chain, waypoints, label, most) for label in data.cells],
     }
 
 
-def _path(data: ReportData, path: str, most: int) -> dict[str, object]:
-    track = data.grids[0].track(path, data.grids[0].median_seed(path))
-    keep = _keep(track, most)
+def _set(
+    data: ReportData, chain: SerialChain, waypoints: pd.DataFrame, label: str, most: int
+) -> dict[str, object]:
+    points = data.cells[label].samples.positions_mm
+    rows = waypoints[waypoints["label"] == label]
     return {
-        "name": path,
-        "title": path_name(data, path).removeprefix("the ").capitalize(),
-        "target": _flat(track.target_mm[keep]),
-        "breaks": np.searchsorted(keep, track.breaks).tolist(),
+        "n": len(points),
+        "samples": _flat(points[:: -(-len(points) // _MOST_POINTS)]),
+        "runs": [_runs(chain, rows, path, most) for path in data.study.evaluation.paths],
     }
 
 
-def _grid(data: ReportData, grid: Grid, most: int) -> dict[str, object]:
-    points = grid.samples.positions_mm
-    stride = -(-len(points) // _MOST_POINTS)
-    return {
-        "n": grid.n,
-        "samples": _flat(points[::stride]),
-        "runs": [_runs(data, grid, path, most) for path in data.paths],
-    }
-
-
-def _runs(data: ReportData, grid: Grid, path: str, most: int) -> list[dict[str, object]]:
-    ranked = grid.ranked_seeds(path)
-    chosen = {"best": ranked[0], "median": grid.median_seed(path), "worst": ranked[-1]}
+def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[dict[str, object]]:
+    mean = rows[rows["path"] == path].groupby("seed")["error_mm"].mean()
+    ranked = mean.sort_values(kind="stable").index
+    chosen = {"best": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "worst": ranked[-1]}
     runs = []
     for rank, seed in chosen.items():
-        track = grid.track(path, seed)
+        track = Strokes(_one(rows, path, seed))
         keep = _keep(track, most)
-        knots = data.chain.skeleton_mm(track.joints[keep])[:, :-1]
+        knots = chain.skeleton_mm(track.joints[keep])[:, :-1]
         runs.append(
             {
                 "rank": rank,
-                "seed": seed,
-                "mean": round(float(np.mean(track.error_mm)), 3),
-                "max": round(float(np.max(track.error_mm)), 3),
-                "reached": _flat(track.reached_mm[keep]),
-                "error": _flat(track.error_mm[keep]),
+                "seed": int(seed),
+                "mean": round(float(track.error.mean()), 3),
+                "max": round(float(track.error.max()), 3),
+                "reached": _flat(track.reached[keep]),
+                "error": _flat(track.error[keep]),
                 # A joint that never moves is sent once.
                 "knots": [
                     _flat(knots[:, i] if np.ptp(knots[:, i], axis=0).max() > 1e-6 else knots[:1, i])
@@ -80,9 +85,13 @@ def _runs(data: ReportData, grid: Grid, path: str, most: int) -> list[dict[str, 
     return runs
 
 
-def _keep(track: Track, most: int) -> "np.typing.NDArray[np.int64]":
+def _one(rows: pd.DataFrame, path: str, seed: int) -> pd.DataFrame:
+    return rows[(rows["path"] == path) & (rows["seed"] == seed)]
+
+
+def _keep(track: Strokes, most: int) -> NDArray[np.int64]:
     """Waypoints to show: evenly thinned, with the ends of every stroke."""
-    n = len(track.error_mm)
+    n = len(track.error)
     if n <= most:
         return np.arange(n)
     ends = [edge for cut in track.breaks for edge in (cut - 1, cut)]

@@ -21,10 +21,16 @@ SAMPLE = "#14171a"
 PAPER = "#6b7178"
 ESTIMATE = "#b4690e"
 VALIDATION = "#0f8a6d"
+# Of middling lightness, so that they stand out on a light and on a dark page.
+COLOURS = ("#d9822b", "#2a9d8f", "#b05fc4", "#c8443c", "#7f8c2a", "#4a90d9", "#c2578e", "#8d6e5a")
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.6)), (0, (1.2, 1.2)))
 INK = "#24292f"
 MUTED = "#59626b"
 RULE = "#d9dee3"
 PANEL = "#ffffff"
+
+PAPER_LINE: dict[str, Any] = {"color": PAPER, "ls": "--", "lw": 1.0, "marker": "D", "ms": 4}
+"""How the paper's own numbers are drawn."""
 
 # In the page each colour is a CSS variable, so that a dark theme and print can change it.
 _CSS_NAMES = {

@@ -1,58 +1,54 @@
-"""Writes the report: one page that stands alone, and its Markdown twin with pictures."""
+"""Writes the report: README.md with its pictures, and the same text as one page."""
 
+import base64
+import hashlib
 import json
-import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
-from iksamples.answer.words import OPTIMIZERS
-from iksamples.report import (
-    sections_answer,
-    sections_certified,
-    sections_changes,
-    sections_claims,
-    sections_cost,
-    sections_map,
-    sections_methods,
-    sections_paper,
-    sections_results,
-    style,
-)
-from iksamples.report.blocks import Figure, Number, Section, Viewer
-from iksamples.report.data import ReportData, read_report_data
-from iksamples.report.verdict import verdict
-from iksamples.report.wording import ACTIVATION_NAMES, box_ranges, box_size, budget, count
-from iksamples.study import Study, Training
+from iksamples.report import answers, errors, markdown, run, style
+from iksamples.report.data import read_report_data
+from iksamples.report.figures import Drawing
+from iksamples.study import Study
 
 
-SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
-    sections_answer.how_many_samples,
-    sections_answer.fresh_trainings,
-    sections_methods.methods_and_designs,
-    sections_methods.placing,
-    sections_methods.readings,
-    sections_changes.what_each_change_does,
-    sections_results.table_one,
-    sections_results.error_against_samples,
-    sections_certified.certified_worst_case,
-    sections_map.where_and_when,
-    sections_claims.claims,
-    sections_results.training_progress,
-    sections_results.arm_with_heart,
-    sections_results.path_views,
-    sections_paper.estimate_against_measured,
-    sections_paper.differences,
-    sections_cost.cost,
-    sections_cost.look_closer,
-    sections_cost.origin,
-)
-"""The report, top to bottom. A section is one function, and is left out where it returns None."""
+class Pictures:
+    """The pictures that a text asks for, by file name."""
+
+    def __init__(self) -> None:
+        """Starts without any."""
+        self.drawn: dict[str, tuple[Any, str]] = {}
+
+    def __call__(self, name: str, drawing: Any, words: str) -> Markup:
+        """The Markdown of a picture.
+
+        Args:
+            name: Its file name, without an ending.
+            drawing: A ``Drawing`` or a matplotlib figure.
+            words: What it shows, for those who do not see it.
+        """
+        self.drawn[name] = drawing, words
+        return Markup("![{}](figures/{}.png)").format(words, name)
+
+    def save(self, folder: Path) -> None:
+        """Writes every picture as a PNG."""
+        folder.mkdir(parents=True)
+        for name, (drawing, _) in self.drawn.items():
+            style.png(getattr(drawing, "figure", drawing), folder / f"{name}.png")
+
+    def inline(self) -> dict[str, str]:
+        """Every picture as HTML, by the path that the text knows it by."""
+        found = {}
+        for name, (drawing, words) in self.drawn.items():
+            figure, tips = drawing if isinstance(drawing, Drawing) else (drawing, {})
+            svg = style.svg(figure, f"figure-{name}", words, tips)
+            found[f"figures/{name}.png"] = f'<div class="drawing" id="figure-{name}">{svg}</div>\n'
+        return found
 
 
 def write_report(
@@ -76,128 +72,103 @@ def write_report(
             earlier run wrote is then left as it was.
     """
     results, output = Path(results), Path(output)
-    data = read_report_data(study, results, output, command)
-    sections = list(_lettered(section for make in SECTIONS if (section := make(data))))
-    context = {
-        "study": study,
-        "title": study.title or f"Study “{study.name}”",
-        "facts": facts(data),
-        "verdict": verdict(data),
-        "sections": sections,
+    data = read_report_data(study, results, command)
+    pictures = Pictures()
+    title = study.title or f"Study {study.name}"
+    values: dict[str, Any] = {
+        "data": data,
+        "title": title,
+        "facts": run.facts(data),
+        "answer": answers.answer(data),
+        "curves": errors.curves(data),
+        "worst": errors.worst(data),
+        "comparisons": answers.comparisons(data),
+        "paths": run.paths(data),
+        "cost": run.cost(data),
+        "made": run.made(data),
+        "figure": pictures,
     }
-    environment = _environment()
-    page = environment.get_template("page.html.j2").render(context)
-    readme = environment.get_template("readme.md.j2").render(context)
+    environment = text_environment()
+    values["paper"] = _paper(environment, data, pictures)
+    template = environment.get_template("report.md.j2")
+    readme, text = (markdown.tidy(template.render(values, page=one)) for one in (False, True))
+    body = markdown.to_html(text, pictures.inline())
+    body = body.replace("<!-- viewer -->", _viewer(values["paths"]["scene"]))
 
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=output) as folder:
         draft = Path(folder)
-        (draft / "figures").mkdir()
-        for figure in _figures(sections):
-            style.png(figure.drawing, draft / "figures" / f"{figure.name}.png")
-        (draft / "index.html").write_text(page, encoding="utf-8")
+        pictures.save(draft / "figures")
+        (draft / "index.html").write_text(page(title, body), encoding="utf-8")
         (draft / "README.md").write_text(readme, encoding="utf-8")
         shutil.rmtree(output / "figures", ignore_errors=True)
         for name in ("figures", "README.md", "index.html"):
             (draft / name).replace(output / name)
 
 
-def facts(data: ReportData) -> list[str]:
-    """The study in a line: arm, workspace, networks, training."""
-    study = data.study
-    widths = [3, *study.network.hidden, data.chain.n_joints]
-    sizes, designs = study.samples.points_per_axis, study.samples.designs
-    kind = "sizes" if len(designs) > 1 else "grids"
-    ladder = f"{len(sizes)} {kind}, {sizes[0]}³ to {sizes[-1]}³ samples"
-    if len(designs) > 1:
-        ladder += f", placed in {len(designs)} ways"
-    per = " per set of samples" if len(designs) > 1 else " per grid"
-    return [
-        f"arm {Path(study.robot.urdf).stem}",
-        f"{box_size(study)} ({box_ranges(study)} mm)",
-        f"network {'-'.join(map(str, widths))}, {ACTIVATION_NAMES[study.network.activation]}",
-        _training_facts(study.training),
-        ladder if len(sizes) > 1 else f"{sizes[0]}³ samples",
-        count(study.training.seeds, "seed") + (per if len(sizes) * len(designs) > 1 else ""),
-    ]
+def page(title: str, body: str) -> str:
+    """A whole page that stands alone and may load nothing.
 
+    Args:
+        title: Its title; text, unless it is ``Markup``.
+        body: HTML.
+    """
+    environment = html_environment()
 
-def _training_facts(training: Training) -> str:
-    if training.optimizer == "levenberg-marquardt":
-        return f"{OPTIMIZERS[training.optimizer]}, {budget(training)}"
-    return (
-        f"{OPTIMIZERS[training.optimizer]}, rate {training.learning_rate:g}, "
-        f"batch {training.batch_size}, {budget(training)}"
+    def source(name: str) -> str:
+        text = environment.loader.get_source(environment, name)[0]  # type: ignore[union-attr]
+        return text.rstrip("\n")
+
+    scripts = [source("tips.js"), source("viewer.js")]
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts]
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        body=Markup(body),
+        style=Markup(source("style.css")),
+        sections=markdown.headings(body),
+        scripts=[Markup(text) for text in scripts],
+        hashes=Markup(" ".join(f"'sha256-{one}'" for one in hashes)),
     )
 
 
-def _lettered(sections: Iterator[Section]) -> Iterator[Section]:
-    """Gives the figures that the paper does not have their letters, in order."""
-    letters = iter("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
-    for section in sections:
-        blocks = [
-            replace(block, label=f"Figure {next(letters)}")
-            if isinstance(block, Figure | Viewer) and not block.label
-            else block
-            for block in section.blocks
-        ]
-        yield replace(section, blocks=blocks)
-
-
-def _figures(sections: list[Section]) -> Iterator[Figure]:
-    for section in sections:
-        for block in section.blocks:
-            if isinstance(block, Figure) and block.in_readme:
-                yield block
-
-
-def _environment() -> Environment:
+def text_environment() -> Environment:
+    """Templates of Markdown: every value is escaped for it, floats need a filter that rounds."""
     environment = Environment(
-        loader=PackageLoader("iksamples.report"),
-        # Markdown is not HTML; only the page is escaped.
-        autoescape=lambda name: name is not None and ".html" in name,
+        loader=ChoiceLoader([PackageLoader("iksamples.report"), PackageLoader("iksamples.paper")]),
+        autoescape=True,
+        finalize=markdown.escaped,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {
-        "marks": _marks,
-        "svg": _svg,
-        "raised": _raised,
-        "cell": _cell,
-        "scene": _scene,
-    }
-    environment.tests["number"] = lambda value: isinstance(value, Number)
+    for name in ("code", "mm", "number", "percent", "span", "table", "whole"):
+        environment.filters[name] = getattr(markdown, name)
     return environment
 
 
-def _marks(text: str) -> Markup:
-    """The four marks of a text as HTML: `code`, **strong**, ^raised^, [link](target)."""
-    html = str(escape(text))
-    # A number and its unit stay on one line.
-    html = re.sub(r"(?<=\d) (?=%|mm\b)", "\u00a0", html)
-    html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
-    html = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html)
-    html = re.sub(r"\^([^^]+)\^", r"<sup>\1</sup>", html)
-    html = re.sub(r"\[([^\]]+)\]\(([^)]+)\)", r'<a href="\2">\1</a>', html)
-    return Markup(html)
+def html_environment() -> Environment:
+    """Templates of HTML."""
+    return Environment(
+        loader=PackageLoader("iksamples.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
-def _svg(figure: Figure) -> Markup:
-    return Markup(style.svg(figure.drawing, figure.name, figure.caption, figure.tips))
+def _paper(environment: Environment, data: Any, pictures: Pictures) -> Markup:
+    """The sections of a study that was held against the paper; else nothing."""
+    from iksamples.paper import report as paper
+
+    if not paper.is_of_the_paper(data.results):
+        return Markup("")
+    template = environment.get_template(paper.TEMPLATE)
+    return Markup(template.render(paper.values(data), figure=pictures))
 
 
-def _raised(text: str) -> str:
-    """Markdown has no mark for raised text, but knows the HTML one."""
-    return re.sub(r"\^([^^]+)\^", r"<sup>\1</sup>", text)
-
-
-def _cell(value: str | Number) -> str:
-    """A cell of a Markdown table."""
-    return str(value).replace("|", "\\|")
-
-
-def _scene(value: dict[str, object]) -> Markup:
-    """Numbers for the page's script; ``<`` would end the element."""
-    return Markup(json.dumps(value, separators=(",", ":")).replace("<", "\\u003c"))
+def _viewer(scene: dict[str, object]) -> str:
+    """The view that can be turned; ``<`` in its numbers would end the element."""
+    text = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
+    return html_environment().get_template("viewer.html.j2").render(scene=Markup(text))

@@ -180,7 +180,7 @@
   });
 
   choice("grid", scene.grids.map((grid) => String(grid.n)));
-  choice("path", scene.paths.map((path) => path.title));
+  choice("path", scene.paths.map((path) => path.name));
   choice("rank", scene.grids[0].runs[0].some((one, _, all) => one.seed !== all[0].seed) ? RANKS : ["median"]);
   rewind();
   draw();

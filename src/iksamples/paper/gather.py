@@ -1,0 +1,178 @@
+"""Gathers, from a finished study, what the paper's claims are held against."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from iksamples.answer.curves import Curve, fit_published, fit_seeds
+from iksamples.answer.statistics import FEWEST_SEEDS, draws
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.closed_form import yaw_pitch_pitch
+from iksamples.evaluation.errors import send
+from iksamples.paper.audit import input_jacobian, scale_mm
+from iksamples.paper.claims import judge_claims
+from iksamples.paper.evidence import AVERAGE_NAMES, Ends, Evidence, GridEvidence
+from iksamples.paper.table import paper_table
+from iksamples.results import Cell, cells
+from iksamples.samples.record import region_points
+from iksamples.study import NETWORK, Study
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_POINTS = 512
+"""Points of the workspace at which slopes are looked at; a slope found is one that occurs."""
+_PAPER_SIDE_MM = 60.0
+_SATURATION_M = 5
+"""The paper sees no further improvement beyond 5 points per axis (abstract and introduction)."""
+_STREAM = 20260523
+_RESAMPLES = 4000
+
+
+def claims_table(
+    study: Study, chain: SerialChain, results: str | Path, proofs: "pd.DataFrame"
+) -> "pd.DataFrame":
+    """Every claim of the paper with its verdict; no row where the samples are not on grids.
+
+    Args:
+        study: The study.
+        chain: Its arm.
+        results: Its results folder.
+        proofs: Its certificates.
+
+    Returns:
+        Columns claim, where, verdict, evidence.
+    """
+    import pandas as pd
+
+    columns = ["claim", "where", "verdict", "evidence"]
+    sound = [cell for cell in cells(study, results) if len(cell.sound_errors)]
+    if study.samples.design != "grid" or not sound:
+        return pd.DataFrame(columns=columns)
+    rows = judge_claims(_gather(study, chain, sound, proofs))
+    return pd.DataFrame([vars(row) for row in rows], columns=columns)
+
+
+def fall(before: Floats, after: Floats) -> Ends:
+    """By which share the mean falls from one group of seeds to another, with its 95 % interval."""
+    share = 1 - float(after.mean() / before.mean())
+    if min(len(before), len(after)) < FEWEST_SEEDS:
+        return Ends(share, np.nan, np.nan)
+    first, second = (
+        values[draws(len(values), np.random.default_rng([i, len(values)]), _RESAMPLES)].mean(axis=1)
+        for i, values in enumerate((before, after))
+    )
+    return Ends(share, *(float(q) for q in np.quantile(1 - second / first, [0.025, 0.975])))
+
+
+def _gather(
+    study: Study, chain: SerialChain, sound: Sequence[Cell], proofs: "pd.DataFrame"
+) -> Evidence:
+    points = region_points(study, chain, _POINTS)
+    angles = yaw_pitch_pitch(chain, points, study.robot.elbow)
+    jacobians = np.abs(chain.jacobian_mm(angles))
+    sides = np.subtract(study.workspace.upper_mm, study.workspace.lower_mm)
+    normalised = jacobians * np.ptp(angles, axis=0) / sides[:, None]
+    grids = [_grid(study, chain, cell, proofs, points) for cell in sound]
+    levelling = None
+    if len(grids) > 1:
+        before = next((one for one in grids[:-1] if one.m == _SATURATION_M), grids[-2])
+        levelling = before, grids[-1]
+    published = paper_table()
+    curves = {"the paper’s column": _paper_curve(published), "here": _our_curve(study, sound)}
+    known = {name: curve for name, curve in curves.items() if curve is not None}
+    return Evidence(
+        grids=grids,
+        chosen=study.bounds.average_weight,
+        names=AVERAGE_NAMES,
+        row_sums_mm=jacobians.sum(axis=-1).max(axis=-1),
+        row_sums_by_range=normalised.sum(axis=-1).max(axis=-1),
+        scale_mm=scale_mm(study),
+        fall=fall(*(one.error_mm for one in levelling)) if levelling else None,
+        fall_n=(levelling[0].n, levelling[1].n) if levelling else (0, 0),
+        paper_n=published["n_samples"].to_numpy(float),
+        paper_error_mm=published["paper_error_mm"].to_numpy(float),
+        paper_estimate_mm=published["paper_estimate_mm"].to_numpy(float),
+        paper_scale_mm=_PAPER_SIDE_MM,
+        floors_mm={name: Ends(*curve.floor_mm) for name, curve in known.items()},
+        tails_mm={name: curve.scale_mm.value for name, curve in known.items()},
+        misfits={name: _misfit(curve) for name, curve in known.items()},
+    )
+
+
+def _path_errors(study: Study, cell: Cell) -> "pd.Series[float]":
+    """Mean error of each sound seed on the first path [mm]."""
+    rows = cell.sound_errors
+    rows = rows[rows["region"] == next(iter(study.evaluation.paths))]
+    return rows.set_index("seed")["error_mean_mm"]
+
+
+def _grid(
+    study: Study, chain: SerialChain, cell: Cell, proofs: "pd.DataFrame", points: Floats
+) -> GridEvidence:
+    errors = _path_errors(study, cell)
+    seeds = [int(seed) for seed in errors.index]
+    bounds = cell.table("bounds").set_index("seed").loc[seeds]
+    network = cell.network.select([cell.network.seeds.index(seed) for seed in seeds])
+    samples = cell.samples
+    slope = np.abs(input_jacobian(network, points)).max(axis=(1, 2, 3))
+    at_samples = send(network, chain, samples.positions_mm).error_mm
+    if study.training.held_out.source == "grid":
+        at_samples = np.full_like(at_samples, np.nan)  # some of them were not trained on
+    own = proofs[(proofs["method"] == NETWORK) & (proofs["label"] == cell.label)]
+    own = own.set_index("seed").reindex(seeds)
+    place = own[["argmax_x_mm", "argmax_y_mm", "argmax_z_mm"]].dropna().to_numpy(float)
+    sides = np.subtract(study.workspace.upper_mm, study.workspace.lower_mm)
+
+    def by_average(prefix: str, suffix: str = "") -> Mapping[str, Floats]:
+        return {k: bounds[f"{prefix}_{k}{suffix}"].to_numpy(float) for k in AVERAGE_NAMES}
+
+    return GridEvidence(
+        m=samples.points_per_axis,
+        n=samples.n_samples,
+        spacing_mm=samples.spacing_mm,
+        fill_mm=samples.fill_distance_mm,
+        error_mm=np.asarray(errors, np.float64),
+        estimate_mm=by_average("estimate", "_mm"),
+        average_weight=by_average("wbar"),
+        above=by_average("above"),
+        lemma_1_squared=bounds["lemma_1_above_squared"].to_numpy(float),
+        lemma_1_mm=bounds["lemma_1_above_mm"].to_numpy(float),
+        output_weight=np.abs(network.weights[-1]).max(axis=(1, 2)).astype(float),
+        slope=slope,
+        at_samples_mm=at_samples.max(axis=1),
+        at_samples_mean_mm=at_samples.mean(axis=1),
+        sup_mm=own["sup_upper_mm"].to_numpy(float),
+        argmax=(place - study.workspace.lower_mm) / sides * (samples.points_per_axis - 1),
+    )
+
+
+def _paper_curve(published: "pd.DataFrame") -> Curve | None:
+    return fit_published(
+        "grid",
+        published["n_samples"],
+        published.index.to_numpy(float),
+        published["paper_error_mm"],
+        published["paper_error_sd_mm"],
+        np.random.default_rng(_STREAM),
+    )
+
+
+def _our_curve(study: Study, sound: Sequence[Cell]) -> Curve | None:
+    import pandas as pd
+
+    sets = {cell.samples.n_samples: cell.samples.points_per_axis for cell in sound}
+    columns = [_path_errors(study, cell) for cell in sound]
+    errors = pd.concat(dict(zip(sets, columns, strict=True)), axis=1).dropna()
+    if errors.empty:
+        return None
+    resampled = draws(len(errors), np.random.default_rng(_STREAM))
+    return fit_seeds("grid", list(sets), list(sets.values()), errors.to_numpy(float), resampled)
+
+
+def _misfit(curve: Curve) -> float:
+    fitted = curve.at(curve.n_samples, curve.points_per_axis)
+    return float(np.max(np.abs(fitted / curve.observed_mm - 1)))

@@ -1,0 +1,196 @@
+"""What the report says of the answer: samples needed, fresh trainings, methods compared."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from iksamples.report import figures
+from iksamples.report.data import ReportData
+from iksamples.report.markdown import code, number, percent
+from iksamples.report.run import differing
+from iksamples.study import NETWORK
+
+
+_SHARE = "Error, % of that network's"
+_DASHES: dict[str, Any] = {"proved": "-", "measured": (0, (4, 1.6)), "extrapolated": (0, (1, 1.4))}
+
+
+def answer(data: ReportData) -> dict[str, Any]:
+    """How many samples each method needs, and how the answer fared with fresh trainings."""
+    found = data.answer
+    if found is None:
+        return {}
+    methods, sizes = [], []
+    for one in found.methods:
+        head: dict[str, Any] = {"Method": code(one.method), **_design(data, one.design)}
+        tried = next((size for size in one.rungs if size.n_samples == one.n_samples), one.rungs[-1])
+        proved = tried.n_certified == tried.n_seeds
+        lowest = tried.success_lower
+        methods.append(
+            head
+            | {
+                "What it is": one.description,
+                "Samples needed": _needed(one),
+                "Error [mm]": tried.kept_mm,
+                "Shown by": "proof" if proved else "measurement",
+                "Trainings that meet it": "no chance in it"
+                if lowest is None
+                else f"{tried.n_met} of {tried.n_seeds}"
+                + (f", so at least {percent(lowest, 1)}" if lowest else ""),
+            }
+        )
+        sizes += [
+            head
+            | {
+                "Samples": size.n_samples,
+                "Trainings": size.n_seeds,
+                "Meet it": size.n_met,
+                "Share at least [%]": _scaled(size.success_lower, 100),
+                "Error bound [mm]": size.kept_mm,
+                "Best [mm]": size.error_best_mm,
+                "Median [mm]": size.error_median_mm,
+                "Worst [mm]": size.error_worst_mm,
+                "Proved": size.n_certified,
+            }
+            for size in one.rungs
+        ]
+    return {
+        "methods": pd.DataFrame(methods, dtype=object),
+        "sizes": pd.DataFrame(sizes, dtype=object),
+        "drawing": _needed_drawing(data),
+        "fresh": pd.DataFrame(_fresh(data), dtype=object),
+    }
+
+
+def comparisons(data: ReportData) -> dict[str, Any]:
+    """Every method and design against the study's own network, seed by seed."""
+    if data.answer is None or not data.answer.comparisons:
+        return {}
+    rows = [
+        {
+            "method": one.method,
+            "design": one.design,
+            "other": one.other,
+            "on": one.other_design,
+            "n": one.n_samples,
+            "ratio": one.ratio,
+        }
+        for one in data.answer.comparisons
+    ]
+    keys = ["method", "design", "other", "on"]
+    table = pd.DataFrame(rows, dtype=object)
+    largest, wide = [], []
+    for names, of_pair in table.groupby(keys, sort=False):
+        pair = dict(zip(keys, map(str, names), strict=True))
+        head = {"Method": code(pair["method"]), **_design(data, pair["design"])}
+        head["against"] = code(pair["other"])
+        if data.several_designs:
+            head["on"] = pair["on"]
+        last = of_pair.iloc[-1]
+        largest.append(head | {"Samples": last["n"], _SHARE: _ratio(last["ratio"])})
+        cells = {
+            str(n): _clear(ratio) for n, ratio in zip(of_pair["n"], of_pair["ratio"], strict=True)
+        }
+        wide.append(head | {str(n): cells.get(str(n), "") for n in sorted(table["n"].unique())})
+    settings = {
+        name: method.model_dump(mode="json")
+        for name, method in data.study.all_methods.items()
+        if method.kind == "network"
+    }
+    changes = [
+        {"Method": code(name), "Differs in": setting, "Own network": ours, "Here": theirs}
+        for name in settings
+        for setting, ours, theirs in differing(settings[NETWORK], settings[name])
+    ]
+    return {
+        "largest": pd.DataFrame(largest, dtype=object),
+        "wide": pd.DataFrame(wide, dtype=object),
+        "changes": pd.DataFrame(changes, dtype=object),
+    }
+
+
+def _needed(one: Any) -> Markup | str:
+    if one.kind == "analytic":
+        return "none"
+    if one.status == "answered":
+        return Markup(f"**{one.n_samples}**")
+    if one.status == "extrapolated":
+        return f"about {one.n_samples}, extrapolated"
+    if one.status == "unreachable":
+        return "not reachable"
+    return f"more than {one.more_than}" + (", too few trainings" * (one.status == "more-seeds"))
+
+
+def _scaled(value: float | None, by: float) -> float | None:
+    return None if value is None else by * value
+
+
+def _needed_drawing(data: ReportData) -> figures.Drawing | None:
+    table = data.samples_needed
+    kinds = {name: method.kind for name, method in data.study.all_methods.items()}
+    table = table[table["method"].map(kinds) != "analytic"] if len(table) else table
+    if table.empty:
+        return None
+    how = np.where(table["certified"].astype(bool), "proved", "measured")
+    how = np.where(table["status"] == "extrapolated", "extrapolated", how)
+    table = table.assign(dash=[_DASHES[str(one)] for one in how])
+    # Each stretch of a line ends where the next begins.
+    keys = ["method", "design"]
+    table = table.sort_values([*keys, "tolerance_mm"], kind="stable")
+    before = table.groupby(keys)["dash"].shift()
+    turns = table[before.notna() & (before != table["dash"])]
+    table = pd.concat([table, turns.assign(dash=before[turns.index])])
+    table = table.sort_values("tolerance_mm", kind="stable")
+    hue, panel = ("design", "method") if data.several_designs else ("method", "")
+    stairs = {
+        name: {**look, "marker": "", "drawstyle": "steps-post"}
+        for name, look in figures.looks(data.study).items()
+    }
+    return figures.lines(
+        table, "tolerance_mm", "n_samples", stairs, "tolerance [mm]", "samples needed",
+        hue=hue, panel=panel, asked=data.study.tolerance.error_mm,
+    )  # fmt: skip
+
+
+def _fresh(data: ReportData) -> Iterator[dict[str, Any]]:
+    """How often trainings that had no part in the answer meet the tolerance."""
+    for one in data.fresh:
+        for what, rate in {"the answer": one.at, "one size below": one.below}.items():
+            if rate is not None:
+                share = rate.success
+                yield {
+                    "Method": code(one.method),
+                    **_design(data, one.design),
+                    "Size": what,
+                    "Samples": rate.n_samples,
+                    "Fresh trainings": rate.n_seeds,
+                    "Meet it": rate.n_met,
+                    "Share [%]": 100 * share.value,
+                    "95 % interval [%]": f"{100 * share.low:.1f} to {100 * share.high:.1f}",
+                }
+
+
+def _design(data: ReportData, design: str) -> dict[str, str]:
+    """A cell that says how the samples are placed, in studies that place them in several ways."""
+    return {"Samples placed": design} if data.several_designs else {}
+
+
+def _ratio(ratio: Any) -> str:
+    """A ratio in per cent with its interval."""
+    if ratio.value is None:
+        return ""
+    digits = 0 if ratio.value > 0.1 else 1
+    shown = number(100 * ratio.value, digits)
+    if ratio.low is None or ratio.high is None:
+        return shown
+    return f"{shown} ({number(100 * ratio.low, digits)} to {number(100 * ratio.high, digits)})"
+
+
+def _clear(ratio: Any) -> Markup | str:
+    """A ratio in per cent, bold where its interval leaves out 100 %."""
+    known = ratio.low is not None and ratio.high is not None
+    shown = _ratio(ratio).split(" (")[0]
+    return Markup(f"**{shown}**") if known and not ratio.low <= 1 <= ratio.high else shown

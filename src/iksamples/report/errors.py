@@ -1,0 +1,230 @@
+"""What the report says of errors: learning curves, and the worst error with its proof."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from iksamples.report import figures, style, views
+from iksamples.report.data import ReportData
+from iksamples.report.markdown import code, objects, plus_minus
+from iksamples.study import NETWORK
+
+
+QUANTITIES = {"error_mean_mm": "mean error", "worst_mm": "worst error"}
+_N, _ERROR = "number of samples", "position error [mm]"
+
+
+def curves(data: ReportData) -> dict[str, Any]:
+    """Errors against the number of samples: every method, and the study's network in detail."""
+    table = data.compared
+    long = pd.concat(table.assign(panel=name, mm=table[q]) for q, name in QUANTITIES.items())
+    if data.several_designs:
+        long["panel"] = long["method"] + ", " + long["panel"]
+    hue = "design" if data.several_designs else "method"
+    if data.several_designs:
+        long = long.sort_values("panel", key=lambda one: one.str.contains("mean"), kind="stable")
+    regions = data.runs[(data.runs["method"] == NETWORK) & data.runs["label"].isin(data.cells)]
+    dots = regions.assign(line=f"{NETWORK}, one mark per seed", tip=_tips(regions))
+    history = data.table("history")
+    return {
+        "drawing": figures.lines(
+            long, "n_samples", "mm", figures.looks(data.study), _N, _ERROR, hue=hue, panel="panel"
+        ),
+        "tables": {name: _by_size(data, table, q) for q, name in QUANTITIES.items()},
+        "baseline": _baseline(data),
+        "seeds": figures.lines(
+            dots,
+            "n_samples",
+            "error_mean_mm",
+            figures.colours(list(dots["line"].unique())),
+            _N,
+            "mean position error [mm]",
+            panel="region",
+        ),
+        "regions": _regions(data, regions),
+        "on_path": _mean_and_sd(data),
+        "training": _training_drawing(history),
+        "steps": data.table("members").groupby("n_samples")["steps"].median(),
+        "source": (data.results / "runs.parquet").as_posix(),
+    }
+
+
+def worst(data: ReportData) -> dict[str, Any]:
+    """What is proved of the worst error, and where the tolerance is missed."""
+    proofs = data.certificates
+    if proofs.empty:
+        return {}
+    largest = list(data.cells)[-1]
+    unsafe, slices = data.shown_rows("unsafe"), data.shown_rows("slices")
+    maps = slices[slices["label"] == largest] if len(slices) else slices
+    tolerance = data.study.tolerance.error_mm
+    long = pd.concat(
+        proofs.assign(line=line, mm=proofs[column])
+        for line, column in {
+            "proved: worst error, at most": "sup_upper_mm",
+            "measured: largest error": "error_max_mm",
+            "proved: mean error, at most": "mean_upper_mm",
+        }.items()
+    )
+    looks = {
+        "proved: worst error, at most": {"color": style.NETWORK, "lw": 1.9},
+        "measured: largest error": {"color": style.MUTED, "ls": ":"},
+        "proved: mean error, at most": {"color": style.VALIDATION},
+    }
+    complete = proofs["complete"].astype(bool)
+    gap = (proofs["sup_upper_mm"] / proofs["sup_lower_mm"])[complete].max() - 1
+    over_mean = proofs["sup_lower_mm"] / proofs["mean_upper_mm"]
+    corner = _at_corner(data, proofs)
+    return {
+        "drawing": figures.lines(long, "n_samples", "mm", looks, _N, _ERROR, tolerance=tolerance),
+        "table": _proof_table(proofs, corner),
+        "last": proofs[proofs["label"] == largest],
+        "checked": int(proofs["verified"].astype(bool).sum()),
+        "networks": len(proofs),
+        "incomplete": int((~complete).sum()),
+        "gap": gap,
+        "over_mean": over_mean.groupby(proofs["n_samples"]).median(),
+        "found": float((proofs["error_max_mm"] / proofs["sup_lower_mm"]).min()),
+        "corner": corner.mean(),
+        "places": proofs.loc[corner].filter(regex="^argmax_").value_counts().index[:1].tolist(),
+        "searches": proofs[["seconds", "boxes"]].sum(),
+        "map": views.error_map(maps, tolerance) if len(maps) else None,
+        "shown": data.shown[largest],
+        "coverage": unsafe[unsafe["label"] == largest].iloc[0] if len(unsafe) else None,
+        "epochs": _epochs_drawing(data.shown_rows("training_bound")),
+    }  # fmt: skip
+
+
+def _by_size(data: ReportData, table: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Median over the seeds, a row per method and design, a column per number of samples."""
+    keys = ["method", "design"] if data.several_designs else ["method"]
+    order = pd.MultiIndex.from_frame(table[keys].drop_duplicates())
+    wide = table.pivot_table(index=keys, columns="n_samples", values=quantity, aggfunc="median")
+    wide = wide.reindex(order.get_level_values(0) if len(keys) == 1 else order).reset_index()
+    return _titled(wide)
+
+
+def _mean_and_sd(data: ReportData) -> pd.DataFrame:
+    """Error on the first path, mean ± standard deviation over the seeds, by method and size."""
+    rows = data.runs[data.runs["region"] == data.first_path]
+    rows = rows[rows["design"] == data.study.samples.design]
+    by = rows.groupby(["method", "n_samples"], sort=False)["error_mean_mm"]
+    cells = map(plus_minus, by.mean(), by.std(ddof=1))
+    table = pd.Series(list(cells), index=by.mean().index).unstack().reset_index()
+    return _titled(table.fillna(""))
+
+
+def _baseline(data: ReportData) -> list[tuple[str, int, int]]:
+    """Of each network: at how many sizes a look-up table of the same samples has a smaller mean."""
+    kinds = {name: method.kind for name, method in data.study.all_methods.items()}
+    rows = data.compared[data.compared["design"] == data.study.samples.design]
+    medians = rows.groupby(["method", "n_samples"])["error_mean_mm"].median().unstack()
+    tables = [name for name in medians.index if kinds[name] == "multilinear"]
+    if not tables:
+        return []
+    better = medians.gt(medians.loc[tables[0]])
+    known = medians.notna() & medians.loc[tables[0]].notna()
+    return [
+        (name, int(np.sum(better.loc[name])), int(np.sum(known.loc[name])))
+        for name in kinds
+        if kinds[name] == "network" and name in medians.index
+    ]
+
+
+def _regions(data: ReportData, rows: pd.DataFrame) -> pd.DataFrame:
+    """Errors of the study's network in every region, over its seeds."""
+    by = rows.groupby(["region", "n_samples"], sort=False)
+    table = pd.DataFrame(
+        {
+            "Trained on": by["n_trained"].first(),
+            "Networks": by.size(),
+            "Mean [mm]": by["error_mean_mm"].mean(),
+            "Standard deviation [mm]": by["error_mean_mm"].std(ddof=1),
+            "95th percentile [mm]": by["error_p95_mm"].mean(),
+            "Largest of any seed [mm]": by["error_max_mm"].max(),
+        }
+    )
+    return table.reset_index().rename(columns={"region": "Region", "n_samples": "Samples"})
+
+
+def _tips(rows: pd.DataFrame) -> list[str]:
+    return [
+        f"{row.n_samples} samples, seed {row.seed}: mean {row.error_mean_mm:.2f} mm, "
+        f"largest {row.error_max_mm:.2f} mm"
+        for row in rows.itertuples()
+    ]
+
+
+def _training_drawing(history: pd.DataFrame) -> figures.Drawing:
+    """Losses over the epochs, a panel for each number of samples."""
+    last = history["epoch"].max()
+    kept = np.unique(np.linspace(1, last, 90).round())
+    history = history[history["epoch"].isin(kept)]
+    columns = {"training": "train_loss_rad2", "validation": "validation_loss_rad2"}
+    long = pd.concat(
+        history.assign(line=line, loss=history[column]) for line, column in columns.items()
+    )
+    long["panel"] = long["n_samples"].astype(str) + " samples"
+    looks = {"training": {"color": style.NETWORK}, "validation": {"color": style.VALIDATION}}
+    return figures.lines(
+        long.sort_values("n_samples", kind="stable"),
+        "epoch", "loss", looks, "epoch", "loss [rad²]", panel="panel", linear="x",
+    )  # fmt: skip
+
+
+def _epochs_drawing(bounds: pd.DataFrame) -> figures.Drawing | None:
+    """The proved worst error along the training, beside the errors at the samples."""
+    if bounds.empty:
+        return None
+    sizes = sorted(bounds["n_samples"].unique())
+    few = sorted({sizes[0], sizes[len(sizes) // 2], sizes[-1]})
+    rows = bounds[bounds["n_samples"].isin(few) & (bounds["epoch"] > 0)]
+    looks = {
+        "worst error over the workspace, proved": {"color": style.NETWORK, "lw": 3},
+        "largest error at a sample": {"color": style.SAMPLE, "lw": 1},
+        "mean error at the samples": {"color": style.SAMPLE, "lw": 1.2, "ls": ":"},
+    }
+    columns = ("sup_upper_mm", "training_max_mm", "training_mean_mm")
+    long = pd.concat(
+        rows.assign(line=line, mm=rows[column]) for line, column in zip(looks, columns, strict=True)
+    )
+    long["panel"] = long["n_samples"].astype(str) + " samples"
+    return figures.lines(
+        long.sort_values("n_samples", kind="stable"),
+        "epoch", "mm", looks, "epoch", _ERROR, panel="panel",
+    )  # fmt: skip
+
+
+def _proof_table(proofs: pd.DataFrame, corner: "pd.Series[bool]") -> pd.DataFrame:
+    by = proofs.assign(corner=corner, checked=proofs["verified"].astype(bool)).groupby("n_samples")
+    middle = by.median(numeric_only=True)
+    return pd.DataFrame(
+        {
+            "Worst error ≥ [mm]": middle["sup_lower_mm"],
+            "Worst error ≤ [mm]": middle["sup_upper_mm"],
+            "Worst seed ≤ [mm]": by["sup_upper_mm"].max(),
+            "Largest measured [mm]": middle["error_max_mm"],
+            "Mean ≥ [mm]": middle["mean_lower_mm"],
+            "Mean ≤ [mm]": middle["mean_upper_mm"],
+            "At a corner [%]": 100 * by["corner"].mean(),
+            "Boxes": middle["boxes"],
+            "Checked": by["checked"].sum(),
+            "Networks": by.size(),
+        }
+    ).reset_index(names="Samples")
+
+
+def _at_corner(data: ReportData, proofs: pd.DataFrame) -> "pd.Series[bool]":
+    """Whether a network's worst point is a corner of the workspace."""
+    place = proofs.filter(regex="^argmax_").to_numpy(float)
+    box = data.study.workspace
+    gap = np.minimum(np.abs(place - box.lower_mm), np.abs(place - box.upper_mm))
+    return pd.Series((gap <= 1e-6).all(axis=1), index=proofs.index)
+
+
+def _titled(wide: pd.DataFrame) -> pd.DataFrame:
+    """A table with a method (and a design) in front, ready to be shown."""
+    wide = wide.astype(object)
+    wide["method"] = objects(map(code, wide["method"]))
+    return wide.rename(columns={"method": "Method", "design": "Samples placed"})

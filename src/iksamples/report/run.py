@@ -1,0 +1,143 @@
+"""What the report says of the run: the study in a line, paths, cost, and how it was made."""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from iksamples.arm.workspace import study_chain
+from iksamples.report import provenance, views
+from iksamples.report.data import ReportData
+from iksamples.report.markdown import code
+from iksamples.report.scene import scene
+from iksamples.study import Study
+
+
+_PATH_SETS = 4
+"""So many sets of samples are shown on a path."""
+
+
+def facts(data: ReportData) -> list[str]:
+    """The study in a line: arm, workspace, network, training, samples."""
+    study, box = data.study, data.study.workspace
+    names = [name.removeprefix("target_").rsplit("_", 1)[0] for name in _targets(data)]
+    ranges = ", ".join(
+        f"{name} {low:g} to {high:g}"
+        for name, low, high in zip(names, box.lower_mm, box.upper_mm, strict=False)
+    )
+    training, own = study.training, data.own
+    joints = len(data.table("waypoints").filter(regex="^q_").columns)
+    budget = f"{training.steps} steps" if training.steps else f"{training.epochs} epochs"
+    n = own["n_samples"]
+    return [
+        f"arm {Path(study.robot.urdf).stem}, {joints} joints",
+        f"workspace {ranges} mm",
+        f"network {'-'.join(map(str, [len(names), *study.network.hidden, joints]))}, "
+        f"{study.network.activation}",
+        f"{training.optimizer}, {budget}",
+        f"{n.min()} to {n.max()} samples ({', '.join(study.samples.designs)})",
+        f"{training.seeds} trainings each",
+    ]
+
+
+def paths(data: ReportData) -> dict[str, Any]:
+    """The paths as the networks draw them, and the commands that open the recordings."""
+    chain, waypoints = study_chain(data.study), data.table("waypoints")
+    box = np.array(data.study.workspace.lower_mm), np.array(data.study.workspace.upper_mm)
+    labels = list(data.cells)
+    spread = np.unique(np.linspace(0, len(labels) - 1, min(_PATH_SETS, len(labels))).round())
+    few = [labels[int(i)] for i in spread]
+    names = list(data.study.evaluation.paths)
+
+    def panel(label: str, path: str) -> tuple[int, views.Strokes, Any]:
+        rows = waypoints[(waypoints["label"] == label) & (waypoints["path"] == path)]
+        strokes = views.Strokes(rows[rows["seed"] == data.shown[label]])
+        samples = data.cells[label].samples.positions_mm
+        return len(samples), strokes, samples
+
+    uri = str(data.tracking.get("tracking_uri", ""))
+    local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {uri}"
+    return {
+        "scene": scene(data, chain, waypoints),
+        "arm": views.arm(chain, box, [panel(label, names[-1]) for label in (few[0], few[-1])]),
+        "plans": views.plans([panel(label, names[0]) for label in few]),
+        "arm_path": names[-1],
+        "recordings": [(data.results / "recordings" / f"{name}.rrd").as_posix() for name in names],
+        "server": uri if uri.startswith("http") else None,
+        "mlflow": f"mlflow ui{local}",
+    }
+
+
+def cost(data: ReportData) -> dict[str, Any]:
+    """Time and memory of every step, from Snakemake's benchmark files."""
+    jobs = data.benchmarks
+    if jobs.empty:
+        return {}
+    total = jobs["s"].sum()
+    by = jobs.groupby("step")
+    table = pd.DataFrame(
+        {
+            "Jobs": by.size(),
+            "Wall clock [s]": by["s"].sum(),
+            "Share [%]": 100 * by["s"].sum() / total if total else np.nan,
+            "Longest job [s]": by["s"].max(),
+            "Processor [s]": by["cpu_s"].sum(min_count=1),
+            "Peak memory [MB]": by["max_rss_mb"].max(),
+        }
+    )
+    steps = data.table("members")["steps"]
+    return {
+        "table": table.sort_values("Wall clock [s]", ascending=False).reset_index(names="Step"),
+        "total": total,
+        "peak": jobs["max_rss_mb"].max(),
+        "networks": len(steps),
+        "steps": steps.sum(),
+    }
+
+
+def made(data: ReportData) -> dict[str, Any]:
+    """What was run, on what, from which state of the code."""
+    study = data.study
+    about = {"name", "title", "tracking", "methods"}
+    theirs, ours = (
+        one.model_dump(mode="json", exclude=about) for one in (Study(name="paper"), study)
+    )
+    changed = list(differing(theirs, ours))
+    facts = {
+        "Git commit": provenance.commit(),
+        "Built": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "Versions": provenance.versions(),
+        "Machine": provenance.machine(),
+    }
+    return {
+        "command": data.command,
+        "digest": study.digest(),
+        "settings": (data.results / "study.json").as_posix(),
+        "changed": pd.DataFrame(changed, columns=["Setting", "Paper study", "Here"], dtype=object),
+        "facts": pd.DataFrame(facts.items(), columns=["What", "Value"]),
+    }
+
+
+def differing(there: Any, here: Any, key: str = "") -> Iterator[tuple[Markup, Markup, Markup]]:
+    """Settings that differ, as the study file writes them: dotted key, there and here."""
+    if there == here:
+        return
+    if not (isinstance(there, dict) and isinstance(here, dict)):
+        yield code(key), code(_yaml(there)), code(_yaml(here))
+        return
+    for name in [*there, *(name for name in here if name not in there)]:
+        yield from differing(there.get(name), here.get(name), f"{key}.{name}" if key else name)
+
+
+def _yaml(value: Any) -> str:
+    import yaml
+
+    return yaml.safe_dump(value, default_flow_style=True, width=10**6).split("\n...")[0].strip()
+
+
+def _targets(data: ReportData) -> list[str]:
+    return [str(name) for name in data.table("waypoints").filter(regex="^target_")]

@@ -1,0 +1,210 @@
+"""Pictures of the arm, of paths as they were drawn, and of where in the workspace errors are."""
+
+from collections.abc import Sequence
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.report import style
+
+
+_AZIMUTH_RAD, _ELEVATION_RAD = np.deg2rad(-62.0), np.deg2rad(22.0)
+_MOST_POINTS = 1000
+_DASHES = (0, (4, 1.6))
+
+
+class Strokes:
+    """One network on one path.
+
+    Attributes:
+        names: The coordinates of the tool's position, such as ``x_mm``.
+        target: Where the tool was sent [mm], shape (waypoints, coordinates).
+        reached: Where it went [mm], same shape.
+        joints: What the network answered [rad or mm], shape (waypoints, joints).
+        error: Distance between the two [mm], shape (waypoints,).
+        breaks: Waypoints before which the pen is lifted.
+    """
+
+    def __init__(self, waypoints: pd.DataFrame) -> None:
+        """Reads the rows of one network on one path, in any order."""
+        rows = waypoints.sort_values("waypoint")
+        targets = [str(name) for name in rows.filter(regex="^target_.*_mm$")]
+        self.names = [name.removeprefix("target_") for name in targets]
+        self.target: Floats = rows[targets].to_numpy(float)
+        self.reached: Floats = rows[[f"reached_{name}" for name in self.names]].to_numpy(float)
+        self.joints: Floats = rows.filter(regex="^q_").to_numpy(float)
+        self.error: Floats = rows["error_mm"].to_numpy(float)
+        pen_up = rows["pen_up"].to_numpy(bool) if "pen_up" in rows else np.zeros(len(rows), bool)
+        self.breaks = [int(i) for i in np.flatnonzero(pen_up) if i]
+
+    def lifted(self, points: Floats) -> Floats:
+        """A polyline with gaps (NaN) where the pen is lifted."""
+        return np.insert(points, self.breaks, np.nan, axis=0)
+
+
+@style.styled
+def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
+    """A path as networks draw it, seen along each axis of the workspace in turn.
+
+    Args:
+        panels: For each row: the number of samples, the path, and where the samples are [mm].
+    """
+    names = panels[0][1].names
+    pairs = list(combinations(range(len(names)), 2))[:: 2 if len(names) == 3 else 1]
+    height = 0.75 + 3.55 * len(panels)
+    figure, axes = style.panels(
+        len(panels),
+        len(pairs),
+        height,
+        width_in=3.8 * len(pairs),
+        left=0.085 * 2 / len(pairs),
+        wspace=0.24,
+        hspace=0.22,
+        bottom=0.42 / height,
+        top=1 - 0.55 / height,
+    )
+    everything = np.concatenate(
+        [points for _, path, samples in panels for points in (path.target, path.reached, samples)]
+    )
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    half = 0.54 * np.max(high - low)
+    for row, (n, path, samples) in zip(axes, panels, strict=True):
+        for axis, (i, j) in zip(row, pairs, strict=True):
+            seen = np.unique(samples[:, [i, j]].round(6), axis=0)
+            axis.scatter(
+                seen[:, 0], seen[:, 1], s=12, color=style.SAMPLE, lw=0, label="samples", zorder=2
+            )
+            _path(axis, path, path.target[:, [i, j]], path.reached[:, [i, j]])
+            axis.set_xlabel(_axis_title(names[i]))
+            axis.set_ylabel(_axis_title(names[j]))
+            axis.set_xlim((low + high)[i] / 2 - half, (low + high)[i] / 2 + half)
+            axis.set_ylim((low + high)[j] / 2 - half, (low + high)[j] / 2 + half)
+            axis.set_aspect("equal")
+        row[0].set_title(f"{n} samples; mean error {path.error.mean():.2f} mm")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper right", ncols=3, borderaxespad=0.1)
+    return figure
+
+
+@style.styled
+def arm(
+    chain: SerialChain, box: tuple[Floats, Floats], panels: Sequence[tuple[int, Strokes, Floats]]
+) -> Figure:
+    """The arm where a network strays farthest from a path, a panel each.
+
+    Args:
+        chain: The arm.
+        box: Corners of the workspace [mm], shape (3,) each.
+        panels: For each: the number of samples, the path, and where the samples are [mm].
+    """
+    figure, axes = style.panels(
+        1, len(panels), 3.9, left=0.01, right=0.99, bottom=0.09, top=0.93, wspace=0.02
+    )
+    edges = [
+        np.array([a, b])
+        for a, b in combinations(np.array(list(product(*np.transpose(box)))), 2)
+        if np.sum(a != b) == 1
+    ]
+    seen = []
+    for axis, (n, path, samples) in zip(axes[0], panels, strict=True):
+        worst = int(np.argmax(path.error))
+        links = np.vstack([np.zeros((1, 3)), chain.skeleton_mm(path.joints[worst])])
+        for edge in edges:
+            axis.plot(*_project(edge).T, color=style.RULE, lw=0.9, zorder=1)
+        axis.plot(*_project(links).T, color=style.MUTED, lw=5, solid_joinstyle="round", zorder=5)
+        knots = _project(links[:-1])
+        axis.plot(*knots.T, "o", color=style.PANEL, ms=5, mec=style.INK, mew=1, zorder=6)
+        _path(axis, path, _project(path.target), _project(path.reached))
+        miss = _project(np.stack([path.target[worst], path.reached[worst]]))
+        axis.plot(*miss.T, color=style.INK, lw=1.2, label="largest error", zorder=9)
+        if len(samples) <= _MOST_POINTS:
+            points = _project(samples)
+            axis.plot(*points.T, ".", ms=3, color=style.SAMPLE, label="samples", zorder=4)
+        axis.set_title(
+            f"{n} samples: mean error {path.error.mean():.1f} mm, here {path.error.max():.1f} mm",
+            loc="center",
+        )
+        seen += [_project(points) for points in (links, path.reached, *edges)]
+    everything = np.concatenate(seen)
+    low, high = everything.min(axis=0) - 6, everything.max(axis=0) + 6
+    for axis in axes[0]:
+        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axis.set_axis_off()
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="lower center", ncols=4)
+    return figure
+
+
+@style.styled
+def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
+    """The error on slices through the workspace, with the tolerance as a line.
+
+    Args:
+        slices: Rows of one network: slice, two coordinates that vary and others that do not,
+            error_mm.
+        tolerance: The study's tolerance [mm].
+    """
+    across, up = [str(name) for name in slices.filter(regex="_(mm|rad)$")][:2]
+    titles = list(dict.fromkeys(slices["slice"]))
+    figure, axes = style.panels(
+        1, len(titles), 3.25, 9.2 if len(titles) > 1 else 4.6, sharey=True, wspace=0.12,
+        left=0.06 if len(titles) > 1 else 0.13, right=0.88, top=0.9,
+    )  # fmt: skip
+    levels = MaxNLocator(10).tick_values(0.0, float(slices["error_mm"].max()))
+    for axis, title in zip(axes[0], titles, strict=True):
+        rows = slices[slices["slice"] == title]
+        grid = rows.pivot(index=up, columns=across, values="error_mm")
+        where = grid.columns.to_numpy(float), grid.index.to_numpy(float), grid.to_numpy(float)
+        filled = axis.contourf(*where, levels=levels, cmap="Blues")
+        if where[2].min() < tolerance < where[2].max():
+            axis.contour(*where, levels=[tolerance], colors=style.TARGET, linewidths=1.2)
+        _worst(axis, rows.loc[rows["error_mm"].idxmax()], across, up, rows)
+        axis.set_title(title)
+        axis.set_xlabel(_axis_title(across))
+        axis.xaxis.set_major_locator(MaxNLocator(4))
+        axis.set_aspect("equal")
+        axis.grid(visible=False)
+    axes[0][0].set_ylabel(_axis_title(up))
+    bar = figure.colorbar(filled, cax=figure.add_axes((0.9, 0.16, 0.013, 0.7)))
+    bar.set_label("position error [mm]")
+    return figure
+
+
+def _worst(axis: Axes, at: "pd.Series[float]", across: str, up: str, rows: pd.DataFrame) -> None:
+    """A slice's largest error, as a mark with its number."""
+    right, high = (at[name] > rows[name].mean() for name in (across, up))
+    axis.plot(at[across], at[up], "o", ms=6, color=style.TARGET, mec="white", clip_on=False)
+    axis.annotate(
+        f"{at['error_mm']:.1f} mm",
+        (at[across], at[up]),
+        (-7 if right else 7, -11 if high else 6),
+        textcoords="offset points",
+        ha="right" if right else "left",
+        fontweight="bold",
+        bbox={"facecolor": style.PANEL, "edgecolor": "none", "pad": 1.5, "alpha": 0.85},
+    )
+
+
+def _path(axis: Axes, path: Strokes, target: Floats, reached: Floats) -> None:
+    look: dict[str, Any] = {"color": style.NETWORK, "lw": 1.5, "ls": _DASHES, "zorder": 8}
+    axis.plot(*path.lifted(target).T, color=style.TARGET, lw=1.6, label="target", zorder=7)
+    axis.plot(*path.lifted(reached).T, label="reached", **look)
+
+
+def _project(points_mm: Floats) -> Floats:
+    """Orthographic view from a little above, shape (n, 3) to (n, 2)."""
+    c, s = np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)
+    across, depth = -s * points_mm[:, 0] + c * points_mm[:, 1], points_mm[:, :2] @ [c, s]
+    up = np.cos(_ELEVATION_RAD) * points_mm[:, 2] - np.sin(_ELEVATION_RAD) * depth
+    return np.column_stack([across, up])
+
+
+def _axis_title(column: str) -> str:
+    """``x_mm`` as an axis has it: ``x [mm]``."""
+    name, unit = column.rsplit("_", 1)
+    return f"{name} [{unit}]"
