@@ -1,12 +1,9 @@
 """The arm against closed forms, a URDF library and finite differences."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.arm.load import load_arm
@@ -55,51 +52,6 @@ def test_drawing_pose_puts_the_pen_on_the_table(chain):
     np.testing.assert_allclose(
         chain.skeleton_mm(pose), [[0, 0, 0], [0, 0, 70], [0, 70, 70], [0, 70, 0]], atol=1e-12
     )
-
-
-def in_double(library, monkeypatch):
-    """pytorch_kinematics keeps a URDF's origins and axes in float32; this keeps them in float64."""
-    import torch
-
-    def transform(origin):
-        rotation = Rotation.from_euler("xyz", (origin and origin.rpy) or [0, 0, 0]).as_matrix()
-        position = (origin and origin.xyz) or [0, 0, 0]
-        return library.Transform3d(pos=position, rot=torch.tensor(rotation), dtype=torch.float64)
-
-    monkeypatch.setattr(library.urdf, "_convert_transform", transform)
-    for made in (library.frame.Joint.__init__, library.chain.Chain.__init__):
-        defaults = [torch.float64 if d is torch.float32 else d for d in made.__defaults__]
-        monkeypatch.setattr(made, "__defaults__", tuple(defaults))
-    return library
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("urdf", "tip"), [(None, "tcp"), (WRIST, "f")])
-def test_forward_kinematics_agrees_with_pytorch_kinematics(urdf, tip, tmp_path, rng, monkeypatch):
-    torch = pytest.importorskip("torch")
-    library = pytest.importorskip("pytorch_kinematics")
-    path = ARM
-    if urdf:
-        path = tmp_path / "arm.urdf"
-        path.write_text(urdf)
-    ours = load_arm(path)
-    theirs = in_double(library, monkeypatch).build_serial_chain_from_urdf(
-        Path(path).read_bytes(), tip
-    )
-    theirs = theirs.to(dtype=torch.float64)
-    low = np.maximum(ours.lower, -np.pi)
-    q = rng.uniform(low, ours.upper, (50, ours.n_joints))
-    metres = np.where(np.array(ours.joint_kinds) == "prismatic", q / 1000, q)
-    expected = theirs.forward_kinematics(torch.tensor(metres)).get_matrix().numpy()
-    np.testing.assert_allclose(ours.forward_mm(q), 1000 * expected[:, :3, 3], atol=1e-9)
-    position, rotation = ours.pose(q)
-    np.testing.assert_allclose(position, ours.forward_mm(q), atol=1e-12)
-    np.testing.assert_allclose(rotation, expected[:, :3, :3], atol=1e-12)
-    jacobian = theirs.jacobian(torch.tensor(metres)).numpy()
-    prismatic = np.array(ours.joint_kinds) == "prismatic"
-    linear, angular = ours.jacobians(q)
-    np.testing.assert_allclose(linear, jacobian[:, :3] * np.where(prismatic, 1, 1000), atol=1e-9)
-    np.testing.assert_allclose(angular, jacobian[:, 3:], atol=1e-12)
 
 
 def test_units_and_the_tool_offset(tmp_path, rng):
