@@ -229,7 +229,7 @@ def test_a_study_without_the_paper_says_nothing_of_it(project: Path) -> None:
     assert "loop" in page.xpath("string(//h2[.='Paths and recordings']/following::em[2])") + str(
         page.xpath("//pre[contains(., 'loop.rrd')]")
     )
-    methods = table_with(page, "Method", "Samples placed", "What it is")
+    methods = table_with(page, "Method", "Samples placed", "Samples needed")
     assert methods["Samples placed"].to_list() == ["grid", "uniform"]
 
 

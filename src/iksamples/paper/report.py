@@ -80,6 +80,8 @@ def _table_one(table: pd.DataFrame) -> pd.DataFrame:
     columns: dict[str, Any] = {"Samples": table["n_samples"], "d [mm]": table["spacing_mm"]}
     for title, prefix in pairs.items():
         mean = f"{prefix}_mm" if prefix == "paper_error" else f"{prefix}_mean_mm"
+        if mean not in table:
+            continue
         columns[title] = [
             plus_minus(*row) for row in table[[mean, f"{prefix}_sd_mm"]].to_numpy(float)
         ]

@@ -31,12 +31,13 @@ def answer(data: ReportData) -> dict[str, Any]:
         lowest = tried.success_lower
         methods.append(
             head
+            # A row per design would say the same of a method again and again.
+            | ({} if data.several_designs else {"What it is": one.description})
             | {
-                "What it is": one.description,
                 "Samples needed": _needed(one),
                 "Error [mm]": tried.kept_mm,
                 "Shown by": "proof" if proved else "measurement",
-                "Trainings that meet it": "no chance in it"
+                "Trainings that meet it": "deterministic"
                 if lowest is None
                 else f"{tried.n_met} of {tried.n_seeds}"
                 + (f", so at least {percent(lowest, 1)}" if lowest else ""),

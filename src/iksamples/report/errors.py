@@ -23,7 +23,7 @@ def curves(data: ReportData) -> dict[str, Any]:
         long["panel"] = long["method"] + ", " + long["panel"]
     hue = "design" if data.several_designs else "method"
     if data.several_designs:
-        long = long.sort_values("panel", key=lambda one: one.str.contains("mean"), kind="stable")
+        long = long.sort_values("panel", key=lambda one: one.str.contains("worst"), kind="stable")
     regions = data.runs[(data.runs["method"] == NETWORK) & data.runs["label"].isin(data.cells)]
     dots = regions.assign(line=f"{NETWORK}, one mark per seed", tip=_tips(regions))
     history = data.table("history")

@@ -11,6 +11,8 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 
+_ROUNDING = 1e-6
+"""What is smaller is rounding and no error [mm]."""
 _SPECIAL = re.compile(r"([\\`*_\[\]|~$#])")
 
 
@@ -43,8 +45,9 @@ def number(value: float, digits: int = 2) -> str:
     """A number with so many decimals, or as many as show two figures; nothing where unknown."""
     if not math.isfinite(value):
         return ""
+    value = 0.0 if abs(value) < _ROUNDING else value
     if digits and 0 < abs(value) < 10.0 ** (1 - digits):
-        digits = min(1 - int(f"{value:.1e}".split("e")[1]), 9)
+        digits = 1 - int(f"{value:.1e}".split("e")[1])
     return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
 
 
