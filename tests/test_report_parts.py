@@ -81,6 +81,18 @@ def test_numbers(value: float, digits: int, shown: str) -> None:
     assert markdown.number(value, digits) == shown
 
 
+@given(st.floats(1e-5, 1e6), st.integers(1, 3))
+def test_bounds_are_rounded_outward(value: float, digits: int) -> None:
+    low, high = (
+        float(markdown.number(value, digits, way).replace("\u202f", "")) for way in ("down", "up")
+    )
+    assert low <= value <= high
+    assert high - low <= max(10.0**-digits, 0.11 * value) * (1 + 1e-9)
+    share = value / 1e6
+    at_least = markdown.percent(share, digits, "down").removesuffix("\u00a0%")
+    assert float(at_least) <= 100 * share * (1 + 1e-12)
+
+
 def test_a_table_keeps_its_columns() -> None:
     frame = pd.DataFrame(
         {"Name": ["a|b", Markup("**c**")], "n": [1, 2], "|x|": [0.5, float("nan")]}, dtype=object

@@ -40,7 +40,7 @@ def answer(data: ReportData) -> dict[str, Any]:
                 "Trainings that meet it": "deterministic"
                 if lowest is None
                 else f"{tried.n_met} of {tried.n_seeds}"
-                + (f", so at least {percent(lowest, 1)}" if lowest else ""),
+                + (f", so at least {percent(lowest, 1, 'down')}" if lowest else ""),
             }
         )
         sizes += [

@@ -3,7 +3,8 @@
 import html
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import Any
 
 import pandas as pd
@@ -13,6 +14,7 @@ from markupsafe import Markup
 
 _ROUNDING = 1e-6
 """What is smaller is rounding and no error [mm]."""
+_OUTWARD = {"up": ROUND_CEILING, "down": ROUND_FLOOR}
 _SPECIAL = re.compile(r"([\\`*_\[\]|~$#])")
 
 
@@ -41,23 +43,38 @@ def code(value: object) -> Markup:
     return Markup(f"{fence}{pad}{text}{pad}{fence}")
 
 
-def number(value: float, digits: int = 2) -> str:
-    """A number with so many decimals, or as many as show two figures; nothing where unknown."""
+def number(value: float, digits: int = 2, rounding: str = "") -> str:
+    """A number with so many decimals, or as many as show two figures; nothing where unknown.
+
+    Args:
+        value: The number.
+        digits: Decimals.
+        rounding: ``up`` for what is an upper bound, ``down`` for a lower one, else to the nearest.
+    """
     if not math.isfinite(value):
         return ""
     value = 0.0 if abs(value) < _ROUNDING else value
     if digits and 0 < abs(value) < 10.0 ** (1 - digits):
         digits = 1 - int(f"{value:.1e}".split("e")[1])
-    return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
+    exact: float | Decimal = value
+    if rounding:
+        step = Decimal(1).scaleb(-digits)
+        exact = Decimal(repr(float(value))).quantize(step, _OUTWARD[rounding])
+    return f"{exact:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
 
 
-def mm(value: float, digits: int = 2) -> str:
+def mm(value: float, digits: int = 2, rounding: str = "") -> str:
     """A length [mm]."""
-    return f"{number(value, digits)}\u00a0mm"
+    return f"{number(value, digits, rounding)}\u00a0mm"
 
 
-def percent(share: float, digits: int = 0) -> str:
-    """A share in per cent."""
+def percent(share: float, digits: int = 0, rounding: str = "") -> str:
+    """A share in per cent, with just so many decimals."""
+    if rounding:
+        step = Decimal(1).scaleb(-digits)
+        share = (
+            float(Decimal(repr(float(share))).scaleb(2).quantize(step, _OUTWARD[rounding])) / 100
+        )
     return f"{100 * share:.{digits}f}\u00a0%".replace("-", "−")
 
 
@@ -77,19 +94,27 @@ def span(values: "pd.Series[float]", digits: int = 2) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def table(frame: pd.DataFrame, digits: Mapping[str, int] | int = 2) -> Markup:
+def table(
+    frame: pd.DataFrame,
+    digits: Mapping[str, int] | int = 2,
+    up: Collection[str] = (),
+    down: Collection[str] = (),
+) -> Markup:
     """A Markdown table of a frame without its index.
 
     Args:
         frame: Column names are the heads, ours and not to be escaped. Texts align left, numbers
             right.
         digits: Decimals of floating point columns, one number or one per column (else 2).
+        up: Columns of upper bounds, which are rounded up.
+        down: Columns of lower bounds, which are rounded down.
     """
     heads = [str(name) for name in frame.columns]
     cells = []
     for i, head in enumerate(heads):
         shown = digits if isinstance(digits, int) else digits.get(head, 2)
-        cells.append([_cell(value, shown) for value in frame.iloc[:, i]])
+        rounding = "up" if head in up else "down" if head in down else ""
+        cells.append([_cell(value, shown, rounding) for value in frame.iloc[:, i]])
     marks = ["---" if any(map(_has_letters, column)) else "--:" for column in cells]
     lines = [heads, marks, *map(list, zip(*cells, strict=True))]
     lines[0] = [head.replace("|", "\\|") for head in heads]
@@ -184,11 +209,11 @@ def slug(heading: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-")
 
 
-def _cell(value: object, digits: int) -> str:
+def _cell(value: object, digits: int, rounding: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return number(value, digits)
+        return number(value, digits, rounding)
     if value is None or value is pd.NA:
         return ""
     text = whole(value) if isinstance(value, int) else escaped(value)
