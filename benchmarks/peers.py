@@ -374,7 +374,7 @@ def errors_mm(problem: Problem, samples, chain, points, parameters: np.ndarray) 
     from iksamples.network import StackedMLP
 
     network = StackedMLP(
-        *unstack(parameters, problem.sizes),
+        *unstack(parameters, problem.sizes, problem.output_scale),
         problem.activation,
         samples.offset_mm,
         samples.scale_mm,

@@ -108,17 +108,17 @@ class Bench:
         import peers
         import torch
 
-        from iksamples.arm.workspace import study_chain
         from iksamples.samples.record import region_points
         from iksamples.study import parse_study
+        from iksamples.task import study_task
 
         logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
         torch.set_num_threads(1)
         self.peers, self.quick, self.ways = peers, quick, ways
         self.rounds = 2 if quick else 7
         self.study = parse_study({"name": "benchmark"})
-        self.chain = study_chain(self.study)
-        self.points = region_points(self.study, self.chain, 1024)
+        self.task = study_task(self.study)
+        self.points = region_points(self.task.region, 1024)
         self._samples: dict[int, object] = {}
 
     def problem(self, m: int, seeds: int, hidden=(16,)):
@@ -127,7 +127,7 @@ class Bench:
         from iksamples.training.problem import pose_problem
 
         if m not in self._samples:
-            self._samples[m] = grid_samples(self.study, self.chain, m)
+            self._samples[m] = grid_samples(self.study, self.task, m)
         network = self.study.network.model_copy(update={"hidden": list(hidden)})
         study = self.study.model_copy(update={"network": network})
         return pose_problem(study, self._samples[m], range(seeds))
@@ -222,7 +222,7 @@ class Bench:
             print(f"  errors: {name}, {count} seeds, {epochs} epochs", flush=True)
             _, parameters = getattr(self.peers, WAYS[name].function)(problem, epochs)
             found = self.peers.errors_mm(
-                problem, self._samples[3], self.chain, self.points, parameters
+                problem, self._samples[3], self.task.arm, self.points, parameters
             )
             errors[name] = count, float(np.mean(found)), float(np.std(found, ddof=1) / count**0.5)
         return errors

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import settings
 
 from iksamples.arm.chain import SerialChain
-from iksamples.arm.workspace import study_chain
 from iksamples.study import Study, parse_study
+from iksamples.task import Task, study_chain, study_task
 
 
 # A slow machine is no failure, and the same examples are tried everywhere.
@@ -41,6 +41,12 @@ def study() -> Study:
 def chain(study: Study) -> SerialChain:
     """The paper's arm."""
     return study_chain(study)
+
+
+@pytest.fixture
+def task(study: Study) -> Task:
+    """The paper's task."""
+    return study_task(study)
 
 
 @pytest.fixture(scope="session")

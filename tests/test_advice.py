@@ -6,39 +6,38 @@ from iksamples.advice import advice
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
-def notes(chain, **settings):
+def notes(**settings):
     study = parse_study({"name": "s", "samples": {"points_per_axis": [2]}, **settings})
-    sets = [record_samples(study, chain, *one) for one in sample_sets(study).values()]
+    sets = [record_samples(study, study_task(study), *one) for one in sample_sets(study).values()]
     return advice(study, sets)
 
 
 @pytest.mark.parametrize(("seeds", "enough"), [(13, False), (14, True)])
-def test_the_fewest_seeds_that_can_show_it(chain, seeds, enough):
+def test_the_fewest_seeds_that_can_show_it(seeds, enough):
     # 0.8^13 is more than 5 %, and 0.8^14 less.
     assert (0.8**seeds < 0.05) is enough
-    found = notes(chain, training={"seeds": seeds})
+    found = notes(training={"seeds": seeds})
     assert found == [] if enough else "14 can (training.seeds)" in found[0]
 
 
-def test_the_best_of_several_needs_fewer(chain):
-    assert notes(chain, training={"seeds": 13})
-    assert notes(chain, training={"seeds": 13}, tolerance={"best_of": 3}) == []
+def test_the_best_of_several_needs_fewer():
+    assert notes(training={"seeds": 13})
+    assert notes(training={"seeds": 13}, tolerance={"best_of": 3}) == []
 
 
-def test_a_method_without_a_grid_is_named(chain):
+def test_a_method_without_a_grid_is_named():
     methods = {"spline": {"kind": "cubic"}, "kernel": {"kind": "rbf"}}
     samples = {"designs": ["grid", "chebyshev", "sobol"], "points_per_axis": [2, 3]}
-    [line] = notes(chain, methods=methods, samples=samples)
+    [line] = notes(methods=methods, samples=samples)
     assert line.startswith("spline has no results on sobol8, sobol27: tables")
-    assert notes(chain, methods=methods) == []
+    assert notes(methods=methods) == []
 
 
-def test_a_masked_grid_is_none(chain):
+def test_a_masked_grid_is_none():
     samples = {"points_per_axis": [3], "unreachable": "mask"}
     workspace = {"lower_mm": [20, 20, 0], "upper_mm": [120, 120, 60]}
-    [line] = notes(
-        chain, methods={"spline": {"kind": "cubic"}}, samples=samples, workspace=workspace
-    )
+    [line] = notes(methods={"spline": {"kind": "cubic"}}, samples=samples, workspace=workspace)
     assert line.startswith("spline has no results on grid3:")

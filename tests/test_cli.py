@@ -103,8 +103,8 @@ def test_certify_says_what_is_missing(command, tmp_path):
 
 
 @pytest.mark.slow
-def test_next_poses_can_be_recorded(command, tmp_path, study, chain):
-    grid_samples(study, chain, 3).save(tmp_path / "had.parquet")
+def test_next_poses_can_be_recorded(command, tmp_path, study, task, chain):
+    grid_samples(study, task, 3).save(tmp_path / "had.parquet")
     (tmp_path / "quick.yaml").write_text("name: quick\ntraining: {epochs: 50}\n")
     done = run(
         command, "next", tmp_path / "quick.yaml", "--samples", tmp_path / "had.parquet",

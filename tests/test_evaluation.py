@@ -9,6 +9,7 @@ from iksamples.evaluation.paths import require_reachable, waypoints_mm
 from iksamples.network import StackedMLP
 from iksamples.samples.record import region_points
 from iksamples.study import DoubleRectangle, Heart, parse_study
+from iksamples.task import study_task
 
 
 def constant_network(joints, seeds=(0,)):
@@ -47,25 +48,25 @@ def test_heart_closes_has_its_width_and_lies_in_its_plane():
     np.testing.assert_allclose(middle, [50, 50, 30], atol=1e-6)
 
 
-def test_default_paths_lie_in_the_cube(study, chain):
-    require_reachable(study, chain)
+def test_default_paths_lie_in_the_cube(study, task):
+    require_reachable(study, task)
     for path in study.evaluation.paths.values():
         points = waypoints_mm(path)
         assert (points > study.workspace.lower_mm).all()
         assert (points < study.workspace.upper_mm).all()
 
 
-def test_a_path_out_of_reach_is_named(chain):
+def test_a_path_out_of_reach_is_named():
     study = parse_study(
         {"name": "x", "evaluation": {"paths": {"far": {"shape": "heart", "width_mm": 400}}}}
     )
     with pytest.raises(IksamplesError, match=r"evaluation\.paths\.far: .* cannot be used"):
-        require_reachable(study, chain)
+        require_reachable(study, study_task(study))
 
 
-def test_error_is_the_distance_through_the_forward_kinematics(chain):
+def test_error_is_the_distance_through_the_forward_kinematics(task):
     pose = np.radians([90, -90, -90])  # the tool is at (0, 70, 0)
-    result = send(constant_network(pose), chain, np.array([[0, 70, 0], [3, 74, 0], [0, 70, 12.0]]))
+    result = send(constant_network(pose), task, np.array([[0, 70, 0], [3, 74, 0], [0, 70, 12.0]]))
     np.testing.assert_allclose(result.error_mm, [[0, 5, 12]], atol=1e-5)
 
 
@@ -74,13 +75,16 @@ def test_summary_is_over_points_within_a_seed(study, chain):
         update={"evaluation": study.evaluation.model_copy(update={"cube_points": 64})}
     )
     network = constant_network(np.radians([45, -60, -90]), seeds=(7, 3))
-    waypoints, cube = track_paths(study, chain, network), cube_errors(study, chain, network)
+    waypoints, cube = (
+        track_paths(study.evaluation, study_task(study), network),
+        cube_errors(study.evaluation, study_task(study), network),
+    )
     table = summarise(waypoints, cube).set_index(["region", "seed"])
     assert set(table.index) == {(r, s) for r in ("rectangles", "heart", "cube") for s in (3, 7)}
     reached = chain.forward_mm(network.predict(np.zeros((1, 3)))[0, 0])
     for region, points in (
         ("heart", waypoints_mm(study.evaluation.paths["heart"])),
-        ("cube", region_points(study, chain, 64)),
+        ("cube", region_points(study_task(study).region, 64)),
     ):
         error = np.linalg.norm(points - reached, axis=1)
         row = table.loc[(region, 3)]

@@ -17,6 +17,7 @@ from iksamples.network import StackedMLP, write_tensors
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
+from iksamples.task import study_task
 
 
 EPOCHS = np.array([0, 1, 4, 20])
@@ -37,10 +38,10 @@ def small() -> Study:
 
 
 @pytest.fixture
-def cell(small: Study, chain: SerialChain, tmp_path: Path) -> Cell:
+def cell(small: Study, tmp_path: Path) -> Cell:
     """Random hidden layers with least-squares output layers, approached in four steps."""
     [cell] = cells(small, tmp_path)
-    samples = grid_samples(small, chain, 4)
+    samples = grid_samples(small, study_task(small), 4)
     cell.samples_path.parent.mkdir(parents=True)
     cell.folder.mkdir(parents=True)
     samples.save(cell.samples_path)
@@ -68,7 +69,10 @@ def cell(small: Study, chain: SerialChain, tmp_path: Path) -> Cell:
         tensors[f"layers.{i}.bias"] = (share[:, None, None] * shift).astype("float32")
     header = {"activation": "relu", "seeds": list(SEEDS)}
     write_tensors(cell.folder / "snapshots.safetensors", tensors, header)
-    waypoints, cube = track_paths(small, chain, network), cube_errors(small, chain, network)
+    waypoints, cube = (
+        track_paths(small.evaluation, study_task(small), network),
+        cube_errors(small.evaluation, study_task(small), network),
+    )
     waypoints.to_parquet(cell.folder / "waypoints.parquet")
     summarise(waypoints, cube).to_parquet(cell.folder / "errors.parquet")
     members = pd.DataFrame({"seed": SEEDS, "diverged": False})

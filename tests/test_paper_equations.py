@@ -13,6 +13,7 @@ from iksamples.paper.audit import audit, input_jacobian
 from iksamples.paper.table import paper_table
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
 def test_lemma_1():
@@ -112,12 +113,12 @@ def test_input_jacobian_is_the_derivative_by_normalised_inputs(rng, activation):
 
 def test_audit_counts_the_points_above_each_estimate(chain, rng):
     study = parse_study({"name": "x", "evaluation": {"cube_points": 256}})
-    samples = grid_samples(study, chain, 3)
+    samples = grid_samples(study, study_task(study), 3)
     network = random_networks(rng, "relu", (6,))
-    cube = cube_errors(study, chain, network)
-    table = audit(study, chain, samples, network, cube).set_index("seed")
+    cube = cube_errors(study.evaluation, study_task(study), network)
+    table = audit(study, samples, network, cube).set_index("seed")
     assert list(table.index) == [4, 9]
-    points = region_points(study, chain, 256)
+    points = region_points(study_task(study).region, 256)
     for row, seed in enumerate((4, 9)):
         weights = np.concatenate([np.ravel(w[row]) for w in network.weights])
         wbar = np.abs(weights).mean()

@@ -7,6 +7,7 @@ from iksamples.plan import in_words, plan_study, plan_text
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
+from iksamples.task import study_task
 from iksamples.training.step import train_study, trained_before
 
 
@@ -23,10 +24,10 @@ SETTINGS = {
 }
 
 
-def test_networks_and_steps_are_those_that_are_trained(tmp_path, chain):
+def test_networks_and_steps_are_those_that_are_trained(tmp_path):
     study = parse_study(SETTINGS)
-    sets = [record_samples(study, chain, *one) for one in sample_sets(study).values()]
-    before = plan_study(study)
+    sets = [record_samples(study, study_task(study), *one) for one in sample_sets(study).values()]
+    before = plan_study(study, 3)
     train_study(study, sets, tmp_path, tmp_path / "cache")
     assert [one.method for one in before.methods] == ["network", "steps", "held-out", "second"]
     for one in before.methods:
@@ -42,14 +43,14 @@ def test_networks_and_steps_are_those_that_are_trained(tmp_path, chain):
     more = {**SETTINGS, "training": {**SETTINGS["training"], "seeds": 4}}
     for settings, missing in ((SETTINGS, [0, 0, 0, 0]), (more, [2, 0, 2, 2])):
         again = parse_study(settings)
-        plan = plan_study(again, trained_before(again, sets, tmp_path / "cache"))
+        plan = plan_study(again, 3, trained_before(again, sets, tmp_path / "cache"))
         assert [one.to_train for one in plan.methods] == missing
         assert [one.steps == 0 for one in plan.methods] == [not n for n in missing]
 
 
 def test_more_of_anything_takes_longer():
     def seconds(**settings):
-        return plan_study(parse_study({"name": "s", **settings})).seconds(2)
+        return plan_study(parse_study({"name": "s", **settings}), 3).seconds(2)
 
     paper = seconds()
     for more in (
@@ -65,18 +66,18 @@ def test_more_of_anything_takes_longer():
     ):
         assert seconds(**more) > paper, more
     large = parse_study({"name": "s", "network": {"hidden": [512, 512]}})
-    assert plan_study(large).memory_mb > plan_study(parse_study({"name": "s"})).memory_mb
+    assert plan_study(large, 3).memory_mb > plan_study(parse_study({"name": "s"}), 3).memory_mb
 
 
 def test_one_core_takes_longer_than_two():
-    plan = plan_study(parse_study({"name": "s"}))
+    plan = plan_study(parse_study({"name": "s"}), 3)
     assert plan.seconds(1) > plan.seconds(2) > plan.seconds(2000)
     assert plan.seconds(2000) >= max(step.longest_s for step in plan.steps)
 
 
 def test_the_text_adds_up():
     study = parse_study(SETTINGS)
-    plan = plan_study(study)
+    plan = plan_study(study, 3)
     text = plan_text(study, plan, 2)
     assert "5 methods on 2 sets of 8 to 27 samples" in text
     row = next(line for line in text.splitlines() if line.startswith("in all")).split()

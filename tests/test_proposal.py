@@ -10,13 +10,13 @@ from scipy.spatial.distance import pdist
 from iksamples.answer.adaptive import adaptive_sets, train_seeds
 from iksamples.answer.next_poses import next_poses
 from iksamples.answer.proposal import disagreement_mm, propose, spread
-from iksamples.arm.workspace import reach, study_chain
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
-from iksamples.samples.designs import fill_distance_mm
+from iksamples.samples.designs import fill_distance
 from iksamples.samples.measured import read_samples, read_samples_csv
 from iksamples.samples.record import grid_samples, record_samples, region_points
 from iksamples.study import parse_study
+from iksamples.task import study_chain, study_task
 
 
 BOX = (20, 20, 0), (80, 80, 60)
@@ -64,35 +64,35 @@ def test_spread_with_equal_weights_is_the_farthest_point_design(rng):
         assert np.linalg.norm(everything[:i] - everything[i], axis=1).min() == distance.max()
 
 
-def test_proposals_lie_where_the_seeds_disagree_and_do_not_clump(study, chain):
-    samples = grid_samples(study, chain, 2)
+def test_proposals_lie_where_the_seeds_disagree_and_do_not_clump(study, task, chain):
+    samples = grid_samples(study, task, 2)
     network = yaw_apart(0.0, 1.0)  # disagreement grows with x
-    positions = propose(study, chain, samples, network, 100)
+    positions = propose(task, samples, network, 100)
     assert in_box(positions)
-    assert reach(study, chain, positions).usable.all()
+    assert task.reach(positions).usable.all()
     # Evenly spread points would be as many in either third.
     assert np.sum(positions[:, 0] > 60) > 3 * np.sum(positions[:, 0] < 40)
-    best = region_points(study, chain, 4096)
+    best = region_points(task.region, 4096)
     best = best[np.argsort(-disagreement_mm(network, chain, best))[:100]]
     assert pdist(positions).min() > 8 > 3 * pdist(best).min()
     apart = np.linalg.norm(positions[:, None] - samples.positions_mm, axis=-1)
     assert apart.min() > 5
-    np.testing.assert_array_equal(propose(study, chain, samples, network, 100), positions)
-    np.testing.assert_array_equal(propose(study, chain, samples, network, 7), positions[:7])
+    np.testing.assert_array_equal(propose(task, samples, network, 100), positions)
+    np.testing.assert_array_equal(propose(task, samples, network, 7), positions[:7])
 
 
-def test_the_worst_strategy_proposes_the_worst_point_of_each_tile(study, chain, rng):
-    samples = grid_samples(study, chain, 2)
-    centre = reach(study, chain, [[50.0, 50.0, 30.0]]).joints[0]
+def test_the_worst_strategy_proposes_the_worst_point_of_each_tile(study, task, rng):
+    samples = grid_samples(study, task, 2)
+    centre = task.reach([[50.0, 50.0, 30.0]]).joints[0]
     maps = 0.05 * rng.standard_normal((1, 3, 3))
     network = linear(*maps, offset=centre)  # hardly moves off the workspace's centre
-    positions = propose(study, chain, samples, network, 5, "worst")
+    positions = propose(task, samples, network, 5, "worst")
     assert positions.shape == (5, 3)
     assert in_box(positions)
     dense = BOX[0] + 60 * rng.random((30_000, 3))
 
     def error_mm(points):
-        return np.linalg.norm(chain.forward_mm(network.predict(points)[0]) - points, axis=-1)
+        return np.linalg.norm(task.arm.forward_mm(network.predict(points)[0]) - points, axis=-1)
 
     # Five positions are taken from 3 x 3 x 3 tiles of 20 mm; a point on a face is in several.
     for position in positions:
@@ -106,19 +106,19 @@ def test_the_worst_strategy_proposes_the_worst_point_of_each_tile(study, chain, 
             inside = np.all(np.floor((dense - BOX[0]) / 20) == low, axis=1)
             worst.append(error_mm(dense[inside]).max())
         assert error_mm(position[None])[0] > 0.98 * min(worst)
-    np.testing.assert_array_equal(propose(study, chain, samples, network, 5, "worst"), positions)
+    np.testing.assert_array_equal(propose(task, samples, network, 5, "worst"), positions)
 
 
-def test_what_cannot_be_proposed_is_said(study, chain):
-    samples = grid_samples(study, chain, 2)
+def test_what_cannot_be_proposed_is_said(study, task):
+    samples = grid_samples(study, task, 2)
     with pytest.raises(IksamplesError, match="at least 1"):
-        propose(study, chain, samples, yaw_apart(0, 1), 0)
+        propose(task, samples, yaw_apart(0, 1), 0)
     with pytest.raises(IksamplesError, match="Only one finite network"):
-        propose(study, chain, samples, yaw_apart(0, np.nan), 3)
+        propose(task, samples, yaw_apart(0, np.nan), 3)
     with pytest.raises(IksamplesError, match="diverged"):
-        propose(study, chain, samples, yaw_apart(np.nan, np.inf), 3)
+        propose(task, samples, yaw_apart(np.nan, np.inf), 3)
     with pytest.raises(IksamplesError, match="no strategy 'best'"):
-        propose(study, chain, samples, yaw_apart(0, 1), 3, "best")
+        propose(task, samples, yaw_apart(0, 1), 3, "best")
     with pytest.raises(IksamplesError, match="only 1 usable"):
         spread(samples.positions_mm, np.ones(8), samples.positions_mm[:7], 2)
 
@@ -136,25 +136,27 @@ def quick():
 def test_adaptive_sets_are_nested_and_do_not_depend_on_each_other(quick):
     study = parse_study(quick)
     chain = study_chain(study)
-    sets = adaptive_sets(study, chain, [3, 2])
-    assert list(sets) == [2, 3]
-    small, large = sets[2], sets[3]
+    sets = adaptive_sets(study, study_task(study), [27, 8])
+    assert list(sets) == [8, 27]
+    small, large = sets[8], sets[27]
     assert (small.label, large.label) == ("adaptive8", "adaptive27")
     assert (large.design, large.points_per_axis, large.n_samples) == ("adaptive", 3, 27)
     assert np.isnan(large.spacing_mm)
     np.testing.assert_array_equal(large.positions_mm[:8], small.positions_mm)
-    np.testing.assert_array_equal(small.positions_mm, grid_samples(study, chain, 2).positions_mm)
+    np.testing.assert_array_equal(
+        small.positions_mm, grid_samples(study, study_task(study), 2).positions_mm
+    )
     np.testing.assert_allclose(chain.forward_mm(large.joints), large.positions_mm, atol=1e-9)
     assert len(np.unique(large.positions_mm, axis=0)) == 27
     assert in_box(large.positions_mm)
     assert pdist(large.positions_mm).min() > 8
-    region = region_points(study, chain, 2048)
-    assert fill_distance_mm(large.positions_mm, region) < 35
+    region = region_points(study_task(study).region, 2048)
+    assert fill_distance(large.positions_mm, region) < 35
     # Neither other sizes nor how a study trains for long, nor its seeds, move the points.
     longer = parse_study({**quick, "training": {"epochs": 900, "seeds": 2, "first_seed": 5}})
-    assert adaptive_sets(longer, chain, [3])[3].digest() == large.digest()
+    assert adaptive_sets(longer, study_task(longer), [27])[27].digest() == large.digest()
     other = parse_study({**quick, "samples": {"seed": 1}})
-    moved = adaptive_sets(other, chain, [3])[3].positions_mm
+    moved = adaptive_sets(other, study_task(other), [27])[27].positions_mm
     np.testing.assert_array_equal(moved[:8], small.positions_mm)
     assert not np.array_equal(moved, large.positions_mm)
 
@@ -164,24 +166,23 @@ def test_adaptive_samples_keep_off_what_the_arm_cannot_use(quick):
     study = parse_study(
         {**quick, "workspace": {"upper_mm": [120, 120, 90]}, "samples": {"unreachable": "mask"}}
     )
-    chain = study_chain(study)
-    assert not reach(study, chain, [[120.0, 120.0, 90.0]]).usable[0]
-    [samples] = adaptive_sets(study, chain, [3]).values()
+    assert not study_task(study).reach([[120.0, 120.0, 90.0]]).usable[0]
+    [samples] = adaptive_sets(study, study_task(study), [27]).values()
     assert samples.n_samples == 27
     assert samples.n_masked == 0
-    assert reach(study, chain, samples.positions_mm).usable.all()
+    assert study_task(study).reach(samples.positions_mm).usable.all()
 
 
-def test_adaptive_samples_cannot_be_recorded_in_one_step(study, chain):
+def test_adaptive_samples_cannot_be_recorded_in_one_step(study, task):
     with pytest.raises(IksamplesError, match=r"adaptive27.*trained on the way"):
-        record_samples(study, chain, "adaptive", 3)
+        record_samples(study, task, "adaptive", 27)
 
 
 def test_next_poses_are_usable_and_the_same_with_the_trained_weights(quick, tmp_path):
     study = parse_study(quick)
     chain = study_chain(study)
-    samples = grid_samples(study, chain, 3)
-    table = next_poses(study, chain, samples, 6)
+    samples = grid_samples(study, study_task(study), 3)
+    table = next_poses(study, study_task(study), samples, 6)
     joints = [f"q_{name}_rad" for name in chain.joint_names]
     assert list(table) == ["x_mm", "y_mm", "z_mm", *joints, "disagreement_mm", "error_mm"]
     positions = table[["x_mm", "y_mm", "z_mm"]].to_numpy()
@@ -192,11 +193,13 @@ def test_next_poses_are_usable_and_the_same_with_the_trained_weights(quick, tmp_
     assert (table["disagreement_mm"] > 0).all()
     sixteen = parse_study({**quick, "training": {"epochs": 20, "seeds": 16}})
     train_seeds(sixteen, samples).save(tmp_path / "weights.safetensors")
-    again = next_poses(study, chain, samples, 6, weights=tmp_path / "weights.safetensors")
+    again = next_poses(
+        study, study_task(study), samples, 6, weights=tmp_path / "weights.safetensors"
+    )
     pd.testing.assert_frame_equal(again, table)
     (tmp_path / "other.safetensors").write_text("no weights")
     with pytest.raises(IksamplesError, match="not a file of trained networks"):
-        next_poses(study, chain, samples, 6, weights=tmp_path / "other.safetensors")
+        next_poses(study, study_task(study), samples, 6, weights=tmp_path / "other.safetensors")
 
 
 def frame(chain, samples):
@@ -207,11 +210,11 @@ def frame(chain, samples):
     return pd.DataFrame(columns)
 
 
-def test_samples_from_a_csv_are_those_written(study, chain, tmp_path, capsys):
-    samples = record_samples(study, chain, "sobol", 2)
+def test_samples_from_a_csv_are_those_written(study, task, chain, tmp_path, capsys):
+    samples = record_samples(study, task, "sobol", 8)
     table = frame(chain, samples).assign(note="from the arm")[::-1]
     table.to_csv(tmp_path / "arm.csv", index=False)
-    found = read_samples(study, chain, tmp_path / "arm.csv")
+    found = read_samples(study, task, tmp_path / "arm.csv")
     assert (found.label, found.n_samples) == ("measured8", 8)
     np.testing.assert_array_equal(found.positions_mm, samples.positions_mm[::-1])
     np.testing.assert_array_equal(found.joints, samples.joints[::-1])
@@ -219,18 +222,18 @@ def test_samples_from_a_csv_are_those_written(study, chain, tmp_path, capsys):
     np.testing.assert_allclose((inputs.min(axis=0), inputs.max(axis=0)), ([0] * 3, [1] * 3))
     assert capsys.readouterr().err == ""
     samples.save(tmp_path / "own.parquet")
-    assert read_samples(study, chain, tmp_path / "own.parquet").digest() == samples.digest()
+    assert read_samples(study, task, tmp_path / "own.parquet").digest() == samples.digest()
 
 
-def test_a_csv_of_a_real_arm_is_taken_with_a_word(study, chain, tmp_path, capsys):
-    samples = grid_samples(study, chain, 3)
+def test_a_csv_of_a_real_arm_is_taken_with_a_word(study, task, chain, tmp_path, capsys):
+    samples = grid_samples(study, task, 3)
     table = frame(chain, samples)
     table.loc[4, "x_mm"] += 3.0
     # The other elbow at the same place.
     shoulder, elbow = table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"]
     table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"] = shoulder + elbow, -elbow
     table.to_csv(tmp_path / "arm.csv", index=False)
-    found = read_samples_csv(study, chain, tmp_path / "arm.csv")
+    found = read_samples_csv(study, task, tmp_path / "arm.csv")
     assert found.n_samples == 27
     said = capsys.readouterr().err
     assert "1 of 27 samples are more than 1 mm" in said
@@ -250,19 +253,20 @@ def test_a_csv_of_a_real_arm_is_taken_with_a_word(study, chain, tmp_path, capsys
         (lambda t: t.assign(x_mm=[*t["x_mm"][:-1], np.inf]), "sample 8 has 'inf' as x_mm"),
     ],
 )
-def test_a_faulty_csv_is_refused_with_the_reason(study, chain, tmp_path, spoil, message):
-    spoil(frame(chain, grid_samples(study, chain, 2))).to_csv(tmp_path / "arm.csv", index=False)
+def test_a_faulty_csv_is_refused_with_the_reason(study, task, chain, tmp_path, spoil, message):
+    spoil(frame(chain, grid_samples(study, task, 2))).to_csv(tmp_path / "arm.csv", index=False)
     with pytest.raises(IksamplesError, match=message):
-        read_samples_csv(study, chain, tmp_path / "arm.csv")
+        read_samples_csv(study, task, tmp_path / "arm.csv")
 
 
-def test_files_that_are_no_samples_of_this_arm(study, chain, tmp_path):
+def test_files_that_are_no_samples_of_this_arm(study, task, tmp_path):
     with pytest.raises(IksamplesError, match="cannot read the samples"):
-        read_samples_csv(study, chain, tmp_path / "absent.csv")
+        read_samples_csv(study, task, tmp_path / "absent.csv")
     (tmp_path / "empty.csv").write_text("")
     with pytest.raises(IksamplesError, match="not a CSV file"):
-        read_samples_csv(study, chain, tmp_path / "empty.csv")
-    other = replace(grid_samples(study, chain, 2), joint_names=("a", "b", "c"))
+        read_samples_csv(study, task, tmp_path / "empty.csv")
+    joints = replace(task.q, names=("a", "b", "c"))
+    other = replace(grid_samples(study, task, 2), joint_space=joints)
     other.save(tmp_path / "other.parquet")
     with pytest.raises(IksamplesError, match="samples of the joints a, b, c"):
-        read_samples(study, chain, tmp_path / "other.parquet")
+        read_samples(study, task, tmp_path / "other.parquet")

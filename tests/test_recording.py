@@ -27,6 +27,7 @@ from iksamples.recording.record import path_breaks, record_path
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
+from iksamples.task import study_task
 
 
 pytestmark = pytest.mark.slow
@@ -54,15 +55,13 @@ def small() -> Study:
 
 
 @pytest.fixture
-def results(
-    small: Study, chain: SerialChain, rng: np.random.Generator, tmp_path: Path
-) -> list[Cell]:
+def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell]:
     """Results of networks with random weights, which draw no heart but are networks."""
     made = list(cells(small, tmp_path / "results"))
     for cell, m in zip(made, small.samples.points_per_axis, strict=True):
         cell.folder.mkdir(parents=True)
         cell.samples_path.parent.mkdir(exist_ok=True)
-        samples = grid_samples(small, chain, m)
+        samples = grid_samples(small, study_task(small), m)
         samples.save(cell.samples_path)
         shapes = {"0.weight": (3, 5), "0.bias": (5,), "1.weight": (5, 3), "1.bias": (3,)}
         tensors: dict[str, np.ndarray] = {
@@ -93,7 +92,9 @@ def results(
             },
             {"activation": "relu", "seeds": list(SEEDS)},
         )
-        track_paths(small, chain, network).to_parquet(cell.folder / "waypoints.parquet")
+        track_paths(small.evaluation, study_task(small), network).to_parquet(
+            cell.folder / "waypoints.parquet"
+        )
     return made
 
 
@@ -172,7 +173,7 @@ def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
 
 
 def test_training_is_replayed_up_to_the_final_path(
-    small: Study, results: list[Cell], chain: SerialChain, heart: Path
+    small: Study, results: list[Cell], heart: Path
 ) -> None:
     targets = waypoints_mm(small.evaluation.paths["heart"])
     for cell in results:
@@ -227,12 +228,14 @@ def test_two_recordings_of_the_same_results_are_the_same(
 
 
 def test_long_paths_and_trainings_are_thinned(
-    small: Study, results: list[Cell], chain: SerialChain, tmp_path: Path
+    small: Study, results: list[Cell], tmp_path: Path
 ) -> None:
     settings = small.model_dump(mode="json")
     settings["evaluation"]["paths"]["heart"]["waypoints"] = 2001
     long = parse_study(settings)
-    track_paths(long, chain, results[1].network).to_parquet(results[1].folder / "waypoints.parquet")
+    track_paths(long.evaluation, study_task(long), results[1].network).to_parquet(
+        results[1].folder / "waypoints.parquet"
+    )
     file = tmp_path / "long.rrd"
     record_path(long, "heart", results[1:], file)
     tool = read(file, "/tool/grid3", "Points3D:positions", "waypoint")

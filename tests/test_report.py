@@ -16,7 +16,6 @@ from report_study import finished, step
 
 from iksamples.answer.answer import read_answer
 from iksamples.answer.collect import read_runs
-from iksamples.arm.workspace import study_chain
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
 from iksamples.report import provenance
@@ -25,6 +24,7 @@ from iksamples.report.front import write_front_page
 from iksamples.report.write import write_report
 from iksamples.results import cells
 from iksamples.study import Study
+from iksamples.task import study_chain
 
 
 pytestmark = pytest.mark.slow

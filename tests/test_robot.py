@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.arm.load import load_arm
-from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
 from iksamples.samples.designs import full_grid
 from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
 ARM = "config/robots/rrr70.urdf"
@@ -114,8 +114,8 @@ def test_inverse_refuses_an_arm_it_does_not_fit(tmp_path):
         yaw_pitch_pitch(load_arm(tmp_path / "wrist.urdf"), [[1, 2, 3]], "negative")
 
 
-def test_the_stated_corner_is_beyond_any_70_70_arm(study, chain):
-    answer = reach(study, chain, [[100, 100, 70]])
+def test_the_stated_corner_is_beyond_any_70_70_arm(study, task, chain):
+    answer = task.reach([[100, 100, 70]])
     assert answer.summary()["out_of_reach"] == 1
     assert "(100, 100, 70) mm is out of reach" in answer.why_not(0)
 
@@ -125,19 +125,18 @@ def test_default_cube_does_not_fit_the_stated_joint_ranges():
     stated = {"yaw": (third, 2 * third), "shoulder": (-2 * third, -third),
               "elbow": (-2 * third, -third)}  # fmt: skip
     study = parse_study({"name": "stated", "robot": {"limits_rad": stated}})
-    chain = load_arm(study.robot.urdf).with_limits(study.robot.limits_rad)
     corners = full_grid((20, 20, 0), (80, 80, 60), 2)
-    answer = reach(study, chain, corners)
+    answer = study_task(study).reach(corners)
     assert answer.in_reach.all()
     assert answer.in_limits.sum() == 1
     assert "needs yaw = 0.785 rad, outside its limits [1.047, 2.094]" in answer.why_not(0)
 
 
-def test_stretched_arm_is_singular(study, chain):
+def test_stretched_arm_is_singular(study, task, chain):
     outstretched = chain.forward_mm([np.pi / 4, -np.pi / 2, 0.0])
-    answer = reach(study, chain, outstretched)
+    answer = task.reach(outstretched)
     assert answer.singular[0]
-    assert not reach(study, chain, [[50, 50, 30]]).singular[0]
+    assert not task.reach([[50, 50, 30]]).singular[0]
 
 
 def test_missing_file_link_and_joint_are_explained(chain):

@@ -18,6 +18,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.step import evaluate
 from iksamples.results import cells
 from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
 VARIANT = Variant("network", "grid")
@@ -109,7 +110,7 @@ def test_a_study_checks_itself(command, tmp_path, chain):
     sets = [results / f"samples/{label}.parquet" for label in ("grid2", "grid3")]
     subprocess.run([command, "train", file, *sets, "--output", results], check=True)
     for cell in all_cells(study, results):
-        tables, _ = evaluate(study, chain, cell.samples, cell.method, cell.folder)
+        tables, _ = evaluate(study, study_task(study), cell.samples, cell.method, cell.folder)
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
     for method in study.all_methods:

@@ -15,6 +15,7 @@ from iksamples.network import StackedMLP
 from iksamples.results import Cell
 from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
 SEEDS = 6
@@ -80,12 +81,14 @@ def constant_network(joints, seeds=SEEDS):
 
 
 @pytest.fixture
-def results(tmp_path, chain):
+def results(tmp_path):
     """A finished study: the network at 10 and 5 mm and more, cubic at 1 mm on the larger grid."""
     study = make_study()
     (tmp_path / "samples").mkdir()
     for m in (2, 3):
-        record_samples(study, chain, "grid", m).save(tmp_path / "samples" / f"grid{m}.parquet")
+        record_samples(study, study_task(study), "grid", m**3).save(
+            tmp_path / "samples" / f"grid{m}.parquet"
+        )
     for label, error in (("grid2", 10.0), ("grid3", 5.0)):
         cell = Cell(tmp_path, "network", label)
         write_cell(cell, error)
@@ -233,11 +236,11 @@ def test_certificates_of_other_networks_are_noticed(results):
         read(results)
 
 
-def test_designs_of_one_size_are_kept_apart(results, chain):
+def test_designs_of_one_size_are_kept_apart(results):
     """A certificate is of one set of samples, whatever others have as many."""
     study = make_study(samples={"points_per_axis": [3], "designs": ["grid", "chebyshev"]})
     cells = {name: Cell(results, name, "chebyshev3") for name in ("network", "cubic")}
-    record_samples(study, chain, "chebyshev", 3).save(cells["network"].samples_path)
+    record_samples(study, study_task(study), "chebyshev", 27).save(cells["network"].samples_path)
     write_cell(cells["network"], 5.0)
     write_cell(cells["cubic"], 1.0, n=1)
     certify(results)

@@ -34,7 +34,7 @@ BAD = [
     ({"name": "x", "network": {"hidden": 16}}, "'network.hidden' should be a list such as [1, 2]"),
     (
         {"name": "x", "workspace": {"lower_mm": [1, 2]}},
-        "'workspace.lower_mm' has too few values (2",
+        "'workspace' lower_mm and upper_mm must have as many numbers",
     ),
     ({"name": "x", "workspace": {"lower_mm": [1, 2, 3, 4]}}, "should have at most 3 items"),
     ({"name": "x", "tolerance": {"error_mm": float("inf")}}, "should be a finite number"),

@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from iksamples.arm.workspace import study_chain
 from iksamples.columns import CERTIFICATES
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
@@ -26,6 +25,7 @@ from iksamples.paper.table import study_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, Tracking, parse_study
+from iksamples.task import study_task
 from iksamples.tracking.content import STUDY_KEY, study_runs
 from iksamples.tracking.store import Outcome, connect, without_password
 from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_uri
@@ -87,12 +87,11 @@ def small(uri: str) -> Study:
 @pytest.fixture
 def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell]:
     """Results of networks with random weights and invented losses."""
-    chain = study_chain(small)
     made = list(cells(small, tmp_path / "results" / "small"))
     for cell, m in zip(made, small.samples.points_per_axis, strict=True):
         cell.folder.mkdir(parents=True)
         cell.samples_path.parent.mkdir(exist_ok=True)
-        samples = grid_samples(small, chain, m)
+        samples = grid_samples(small, study_task(small), m)
         samples.save(cell.samples_path)
         shapes = [(3, 5), (5, 3), (5,), (3,)]
         first, last, *biases = (
@@ -102,8 +101,8 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             (first, last), tuple(biases), "relu", samples.offset_mm, samples.scale_mm, SEEDS
         )
         network.save(cell.folder / "weights.safetensors")
-        waypoints = track_paths(small, chain, network)
-        cube = cube_errors(small, chain, network)
+        waypoints = track_paths(small.evaluation, study_task(small), network)
+        cube = cube_errors(small.evaluation, study_task(small), network)
         history = pd.DataFrame(
             {
                 "seed": np.repeat(SEEDS, EPOCHS),
@@ -125,7 +124,7 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             "history": history,
             "members": members,
             "errors": summarise(waypoints, cube),
-            "bounds": audit(small, chain, samples, network, cube),
+            "bounds": audit(small, samples, network, cube),
         }
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")

@@ -327,7 +327,11 @@ def test_fused_gradient_against_finite_differences(activation, rng):
 
     def losses(flat):
         network = StackedMLP(
-            *unstack(flat, sizes), activation, np.zeros(3), np.ones(3), tuple(range(lanes))
+            *unstack(flat, sizes, np.ones(sizes[-1])),
+            activation,
+            np.zeros(3),
+            np.ones(3),
+            tuple(range(lanes)),
         )
         return np.mean((network.predict(points) - targets) ** 2, axis=(1, 2))
 

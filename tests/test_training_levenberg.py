@@ -9,6 +9,7 @@ from iksamples.arm.chain import SerialChain
 from iksamples.network import ACTIVATIONS
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import parse_study
+from iksamples.task import study_task
 from iksamples.training import levenberg, reference
 from iksamples.training.files import final_network
 from iksamples.training.module import fit as fit_with
@@ -109,9 +110,9 @@ def test_sixteen_tanh_neurons_on_the_papers_cube(
     # An independent prototype reached these mean errors on the same samples.
     settings = {"optimizer": "levenberg-marquardt", "epochs": 300, "seeds": 5}
     study = parse_study({"name": "x", "network": {"activation": "tanh"}, "training": settings})
-    samples = grid_samples(study, chain, points_per_axis)
+    samples = grid_samples(study, study_task(study), points_per_axis)
     problem = pose_problem(study, samples, study.seeds)
     network = final_network(problem, samples, fit(problem))
-    points = region_points(study, chain, 2048)
+    points = region_points(study_task(study).region, 2048)
     errors = np.linalg.norm(chain.forward_mm(network.predict(points)) - points, axis=-1)
     assert np.median(errors.mean(axis=1)) == pytest.approx(expected_mm, rel=0.25)

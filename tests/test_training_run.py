@@ -12,6 +12,7 @@ from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.samples.record import grid_samples
 from iksamples.study import parse_study
+from iksamples.task import study_task
 from iksamples.training import run
 from iksamples.training.problem import pose_problem
 
@@ -53,9 +54,9 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("source", ["fresh", "grid"])
-def test_files_agree_with_each_other_and_with_the_samples(tmp_path, chain, source):
+def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
     study = make_study(first_seed=4, held_out={"source": source, "test_share": 0.1})
-    sets = [grid_samples(study, chain, m) for m in (2, 3)]
+    sets = [grid_samples(study, study_task(study), m) for m in (2, 3)]
     folders = [tmp_path / "a", tmp_path / "b"]
     run.train(study, sets, folders)
     for samples, folder in zip(sets, folders, strict=True):
@@ -112,10 +113,10 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, chain, sourc
             assert json.loads(file.metadata()["iksamples"])["seeds"] == [4, 5, 6]
 
 
-def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, chain, trained):
+def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, trained):
     cache = tmp_path / "cache"
     study = make_study()
-    two, three = (grid_samples(study, chain, m) for m in (2, 3))
+    two, three = (grid_samples(study, study_task(study), m) for m in (2, 3))
     run.train(study, [two], [tmp_path / "2"], cache)
     run.train(study, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
     more = make_study(seeds=5)
@@ -134,9 +135,9 @@ def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, chain,
     assert len(list(cache.rglob("*.safetensors"))) == 2
 
 
-def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, chain, trained):
+def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, trained):
     cache = tmp_path / "cache"
-    two, three = (grid_samples(make_study(), chain, m) for m in (2, 3))
+    two, three = (grid_samples(make_study(), study_task(make_study()), m) for m in (2, 3))
     run.train(make_study(), [two, three], [tmp_path / "2", tmp_path / "3"], cache)
     run.train(make_study(seeds=2), [three], [tmp_path / "3"], cache)
     (kept,) = cache.rglob("*.safetensors")
@@ -146,9 +147,9 @@ def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, chain, traine
     assert trained[2:] == [("grid3", [0, 1])]
 
 
-def test_a_damaged_cache_file_is_trained_again(tmp_path, chain, trained):
+def test_a_damaged_cache_file_is_trained_again(tmp_path, trained):
     cache, out = tmp_path / "cache", tmp_path / "out"
-    samples = grid_samples(make_study(), chain, 2)
+    samples = grid_samples(make_study(), study_task(make_study()), 2)
     run.train(make_study(), [samples], [out], cache)
     before = contents(out)
     (file,) = cache.rglob("*.safetensors")
@@ -160,9 +161,9 @@ def test_a_damaged_cache_file_is_trained_again(tmp_path, chain, trained):
     assert len(trained) == 2
 
 
-def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, chain, trained, monkeypatch):
+def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, trained, monkeypatch):
     cache, study = tmp_path / "cache", make_study()
-    sets = [grid_samples(study, chain, m) for m in (2, 3)]
+    sets = [grid_samples(study, study_task(study), m) for m in (2, 3)]
     folders = [tmp_path / "2", tmp_path / "3"]
     monkeypatch.setattr(run, "SEEDS_AT_ONCE", 2)
     fit = run._fit
@@ -184,9 +185,9 @@ def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, chain, trained, 
         assert contents(tmp_path / f"n{m}") == contents(tmp_path / f"{m}")
 
 
-def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, chain, capsys):
+def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, capsys):
     study = make_study(seeds=2, epochs=2)
-    samples = grid_samples(study, chain, 2)
+    samples = grid_samples(study, study_task(study), 2)
     run.train(study, [samples], [tmp_path], progress=True)
     out, err = capsys.readouterr()
     assert out == ""
@@ -198,9 +199,9 @@ def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, chain,
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_diverged_seed_is_a_row_that_says_so(tmp_path, chain):
+def test_a_diverged_seed_is_a_row_that_says_so(tmp_path):
     study = make_study(epochs=3)
-    samples = grid_samples(study, chain, 2)
+    samples = grid_samples(study, study_task(study), 2)
     samples.joints[:] = 1e30  # its square is beyond single precision
     run.train(study, [samples], [tmp_path])
     assert pd.read_parquet(tmp_path / "members.parquet").diverged.all()
@@ -222,20 +223,20 @@ def test_a_diverged_seed_is_a_row_that_says_so(tmp_path, chain):
 )
 def test_engine_that_a_study_gets(network, training, engine):
     study = parse_study({"name": "x", "network": network, "training": training})
-    assert run.choose_engine(study) == engine
+    assert run.choose_engine(study, 3) == engine
 
 
 def test_what_the_fused_engine_cannot_do_is_said():
     settings = {"engine": "fused", "optimizer": "levenberg-marquardt"}
     with pytest.raises(IksamplesError, match="engine: fused cannot do"):
-        run.choose_engine(make_study(**settings))
+        run.choose_engine(make_study(**settings), 3)
 
 
-def test_a_gpu_that_is_not_there_is_said(tmp_path, chain):
+def test_a_gpu_that_is_not_there_is_said(tmp_path):
     torch = pytest.importorskip("torch")
     if torch.cuda.is_available():
         pytest.skip("there is one")
     study = make_study(accelerator="gpu")
     with pytest.raises(IksamplesError, match="no CUDA device"):
-        run.train(study, [grid_samples(study, chain, 2)], [tmp_path / "out"])
+        run.train(study, [grid_samples(study, study_task(study), 2)], [tmp_path / "out"])
     assert not (tmp_path / "out").exists()

@@ -14,12 +14,12 @@ import pandas as pd
 import pytest
 
 from iksamples.answer.calibration import read_calibrations
-from iksamples.arm.workspace import study_chain
 from iksamples.columns import CERTIFICATES, TABLE
 from iksamples.evaluation.errors import send
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.results import cells
 from iksamples.study import read_study
+from iksamples.task import study_chain
 
 
 pytestmark = pytest.mark.slow

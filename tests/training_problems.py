@@ -22,6 +22,7 @@ def make_problem(
         activation,
         points.astype(np.float32),
         targets.astype(np.float32),
+        np.ones(3),
         table[:, :n] if rows is None else rows,
         table[:, n:],
         table[:, :0],

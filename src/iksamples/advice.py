@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from iksamples.answer.statistics import met_needed, seeds_needed, single_share
 from iksamples.answer.words import percent, several, whole
 from iksamples.methods.predictor import NotApplicableError
-from iksamples.methods.registry import ON_A_GRID
+from iksamples.methods.registry import KINDS
 from iksamples.methods.tensor import tensor_grid
+from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 
@@ -25,7 +26,7 @@ def _too_few_seeds(study: Study) -> list[str]:
     tolerance = study.tolerance
     share = single_share(tolerance.success_share, tolerance.best_of)
     lines = []
-    counts = {m.training.seeds for m in study.all_methods.values() if m.kind == "network"}
+    counts = {study.all_methods[name].training.seeds for name in networks(study)}
     for n in sorted(counts):
         if met_needed(n, share, tolerance.confidence) is None:
             enough = seeds_needed(share, tolerance.confidence)
@@ -38,7 +39,7 @@ def _too_few_seeds(study: Study) -> list[str]:
 
 
 def _methods_without_samples(study: Study, sets: Sequence[SampleSet]) -> list[str]:
-    names = [name for name, method in study.methods.items() if method.kind in ON_A_GRID]
+    names = [name for name, method in study.methods.items() if KINDS[method.kind].needs_grid]
     labels = [samples.label for samples in sets if not _is_full_grid(samples)]
     if not labels or not names:
         return []

@@ -6,11 +6,10 @@ studies in ``config``; another machine may take half or twice as long.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 from iksamples.answer.outcomes import is_certifiable
 from iksamples.results import certified, networks, sample_sets
-from iksamples.study import Network, Study
+from iksamples.study import Study
 from iksamples.training.run import choose_engine
 
 
@@ -85,20 +84,21 @@ class Plan:
         return max(step.memory_mb for step in self.steps)
 
 
-def plan_study(study: Study, cached: dict[str, int] | None = None) -> Plan:
+def plan_study(study: Study, n_joints: int, cached: dict[str, int] | None = None) -> Plan:
     """What a study will take.
 
     Args:
         study: The study.
+        n_joints: Joints of its arm.
         cached: Networks of each method that need not be trained again.
     """
     cached = cached or {}
     sets = sample_sets(study)
     methods = [
-        _training(study, name, [m**3 for _, m in sets.values()], cached.get(name, 0))
+        _training(study, n_joints, name, [n for _, n in sets.values()], cached.get(name, 0))
         for name in networks(study)
     ]
-    return Plan(methods, list(_steps(study, methods)))
+    return Plan(methods, list(_steps(study, n_joints, methods)))
 
 
 def plan_text(study: Study, plan: Plan, cores: int) -> str:
@@ -110,7 +110,7 @@ def plan_text(study: Study, plan: Plan, cores: int) -> str:
         cores: Cores it will have.
     """
     sets = sample_sets(study)
-    sizes = sorted({m**3 for _, m in sets.values()})
+    sizes = sorted({n for _, n in sets.values()})
     wide = max(len("method"), *(len(one.method) for one in plan.methods))
     rows = [f"{'method':{wide}}  networks  to train  steps at most  training"]
     total = MethodPlan(
@@ -191,7 +191,7 @@ _TRAINING_MB, _OTHER_MB = 650.0, 320.0
 """Memory of a job with little to do: with Lightning, and without."""
 
 
-def _training(study: Study, name: str, sizes: list[int], cached: int) -> MethodPlan:
+def _training(study: Study, n_joints: int, name: str, sizes: list[int], cached: int) -> MethodPlan:
     method = study.all_methods[name]
     seeds = method.training.seeds
     n_networks = seeds * len(sizes)
@@ -201,13 +201,14 @@ def _training(study: Study, name: str, sizes: list[int], cached: int) -> MethodP
         n = method.training.n_trained(n)
         own = study.for_method(name, n)
         steps += seeds * own.training.epochs * own.training.steps_per_epoch(n)
-        seconds += _FIT + _fit_seconds(own, n)
+        seconds += _FIT + _fit_seconds(own, n_joints, n)
     return MethodPlan(name, n_networks, n_networks - cached, round(steps * share), seconds * share)
 
 
-def _fit_seconds(study: Study, n: int) -> float:
+def _fit_seconds(study: Study, n_joints: int, n: int) -> float:
     """Expected time of training all seeds of the study's own network on n samples."""
-    training, weights, engine = study.training, _weights(study.network), choose_engine(study)
+    training, engine = study.training, choose_engine(study, n_joints)
+    weights = study.network.n_parameters(len(study.task.inputs), n_joints)
     if engine == "levenberg-marquardt":
         products = 3 * n * weights**2 / _GRAM + weights**3 / _SOLVE
         return training.seeds * training.epochs * (_ITERATION + products)
@@ -218,13 +219,7 @@ def _fit_seconds(study: Study, n: int) -> float:
     return training.epochs * _EPOCH + operations / _FLOPS[study.network.activation]
 
 
-def _weights(network: Network) -> int:
-    """Weights and biases of a network from positions to three joints."""
-    widths = (3, *network.hidden, 3)
-    return sum((a + 1) * b for a, b in pairwise(widths))
-
-
-def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
+def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[StepPlan]:
     """The workflow's steps, as if none of their files were there yet."""
     n_sets, n_first = len(sample_sets(study)), len(sample_sets(study, study.samples.design))
     plans = {plan.method: plan for plan in methods}
@@ -239,7 +234,8 @@ def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
     proofs = []
     for name in certified(study):
         method = study.all_methods[name]
-        per_network = _PROOF[method.training.optimizer] * _weights(method.network) / 115
+        weights = method.network.n_parameters(len(study.task.inputs), n_joints)
+        per_network = _PROOF[method.training.optimizer] * weights / 115
         proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
     work = {
         "samples": [
@@ -265,21 +261,21 @@ def _steps(study: Study, methods: list[MethodPlan]) -> Iterator[StepPlan]:
         work["calibrate"] = [share * again]
     for step, jobs in work.items():
         seconds = [_START[step] + own for own in jobs]
-        memory = _training_mb(study) if step in ("train", "calibrate") else _OTHER_MB
+        memory = _training_mb(study, n_joints) if step in ("train", "calibrate") else _OTHER_MB
         yield StepPlan(step, len(jobs), sum(seconds), max(seconds), memory)
 
 
-def _training_mb(study: Study) -> float:
+def _training_mb(study: Study, n_joints: int) -> float:
     """Memory of the training job: the stack of one method, its history and its snapshots."""
     largest = 0.0
-    for name, method in study.all_methods.items():
-        if method.kind != "network":
-            continue
-        training, weights = method.training, _weights(method.network)
-        n = max(study.samples.points_per_axis) ** 3
+    for name in networks(study):
+        method = study.all_methods[name]
+        training = method.training
+        weights = method.network.n_parameters(len(study.task.inputs), n_joints)
+        n = max(study.sizes)
         epochs = study.for_method(name, n).training.epochs
         if training.steps:
-            epochs = study.for_method(name, min(study.samples.points_per_axis) ** 3).training.epochs
+            epochs = study.for_method(name, min(study.sizes)).training.epochs
         stack = 4.0 * training.seeds * weights * (4 + training.snapshots)
         if training.optimizer == "levenberg-marquardt":
             stack += 3 * 8.0 * training.seeds * weights**2

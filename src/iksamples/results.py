@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_label
@@ -68,28 +69,27 @@ class Cell:
 
 
 def sample_sets(study: Study, design: Design | None = None) -> dict[str, tuple[Design, int]]:
-    """Every set of samples of a study, smallest first: its name -> design and points per axis.
+    """Every set of samples of a study, smallest first: its name -> design and samples wanted.
 
     Args:
         study: The study.
         design: Only the sets of this design; None: of all.
     """
     return {
-        sample_label(kind, m): (kind, m)
+        sample_label(study, kind, n): (kind, n)
         for kind in ([design] if design else study.samples.designs)
-        for m in study.samples.points_per_axis
+        for n in study.sizes
     }
 
 
 def networks(study: Study) -> list[str]:
     """Names of the study's methods that are trained."""
-    return [name for name, method in study.all_methods.items() if method.kind == "network"]
+    return [name for name, method in study.all_methods.items() if not KINDS[method.kind].fit]
 
 
 def certified(study: Study) -> list[str]:
     """Names of the study's methods whose worst case can be proved."""
-    kinds = ("network", "multilinear")
-    return [name for name, method in study.all_methods.items() if method.kind in kinds]
+    return [name for name, method in study.all_methods.items() if KINDS[method.kind].certifiable]
 
 
 def cells(

@@ -7,13 +7,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from iksamples.answer.proposal import propose, spread
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
+from iksamples.arm.chain import Floats
 from iksamples.network import StackedMLP
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import SampleSet
 from iksamples.samples.designs import full_grid
 from iksamples.samples.record import ADAPTIVE, region_points, sample_set, samples_at
 from iksamples.study import NETWORK, HeldOut, Study
+from iksamples.task import Task
 from iksamples.training.run import train
 
 
@@ -29,9 +29,7 @@ _REGION_POINTS = 4096
 _FIRST_GUIDE = 2**30
 
 
-def adaptive_sets(
-    study: Study, chain: SerialChain, points_per_axis: Iterable[int]
-) -> dict[int, SampleSet]:
+def adaptive_sets(study: Study, task: Task, wanted: Iterable[int]) -> dict[int, SampleSet]:
     """Nested sets of samples of the adaptive design, one per size.
 
     It starts from the workspace's corners. Then 16 networks of the study's shape are trained on the
@@ -45,19 +43,19 @@ def adaptive_sets(
 
     Args:
         study: The study.
-        chain: Its arm.
-        points_per_axis: Sizes m; there are m^3 samples.
+        task: Its task.
+        wanted: Sizes, in samples.
 
     Raises:
         IksamplesError: The arm cannot use all of the workspace and the study does not mask it, or
             the guiding networks all diverge.
     """
-    sizes = sorted(set(points_per_axis))
+    sizes = sorted(set(wanted))
     sets: dict[int, SampleSet] = {}
-    for points in _growing(study, chain):
-        while len(sets) < len(sizes) and len(points) >= sizes[len(sets)] ** len(AXES):
-            m = sizes[len(sets)]
-            sets[m] = samples_at(study, chain, ADAPTIVE, m, points[: m ** len(AXES)])
+    for points in _growing(study, task):
+        while len(sets) < len(sizes) and len(points) >= sizes[len(sets)]:
+            n = sizes[len(sets)]
+            sets[n] = samples_at(study, task, ADAPTIVE, n, points[:n])
         if len(sets) == len(sizes):
             break
     return sets
@@ -77,30 +75,27 @@ def train_seeds(study: Study, samples: SampleSet, progress: bool = False) -> Sta
         return StackedMLP.load(Path(folder) / "weights.safetensors")
 
 
-def _growing(study: Study, chain: SerialChain) -> Iterator[Floats]:
+def _growing(study: Study, task: Task) -> Iterator[Floats]:
     """The design's points after each round [mm], shape (n, 3)."""
     guide = _guide(study)
-    points = _start(study, chain)
+    points = _start(task)
     yield points
     rounds = 0
     while True:
         rounds += 1
-        joints = reach(study, chain, points).joints
-        samples = sample_set(
-            guide, chain, ADAPTIVE, ADAPTIVE, 2, points, joints, fill_distance_mm=np.nan
-        )
+        joints = task.reach(points).joints
+        samples = sample_set(guide, task, ADAPTIVE, ADAPTIVE, points, joints)
         network = train_seeds(guide, samples)
         k = round(_FIRST * _GROWTH**rounds) - len(points)
-        points = np.concatenate([points, propose(study, chain, samples, network, k)])
+        points = np.concatenate([points, propose(task, samples, network, k)])
         yield points
 
 
-def _start(study: Study, chain: SerialChain) -> Floats:
+def _start(task: Task) -> Floats:
     """The workspace's usable corners, and where some are not usable, the points farthest off."""
-    box = study.workspace
-    corners = full_grid(box.lower_mm, box.upper_mm, 2)
-    points = corners[reach(study, chain, corners).usable]
-    region = region_points(study, chain, _REGION_POINTS)
+    corners = full_grid(task.x.lower, task.x.upper, 2)
+    points = corners[task.region.contains(corners)]
+    region = region_points(task.region, _REGION_POINTS)
     if not len(points):
         points = region[:1]
     alike = np.ones(len(region))

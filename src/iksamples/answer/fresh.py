@@ -5,16 +5,16 @@ from pathlib import Path
 
 from iksamples.answer.answer import MethodAnswer, Rung, read_answer
 from iksamples.answer.calibration import FRESH, Calibration, calibrate_study
-from iksamples.arm.chain import SerialChain
 from iksamples.certify.step import certify
 from iksamples.evaluation.step import evaluate
 from iksamples.results import Cell, sample_sets
 from iksamples.study import Method, Study, Training
+from iksamples.task import Task
 from iksamples.training.step import train_study
 
 
 def calibrate_results(
-    study: Study, chain: SerialChain, results: Path, progress: bool = False
+    study: Study, task: Task, results: Path, progress: bool = False
 ) -> list[Calibration]:
     """Holds every network's answer against fresh trainings of it.
 
@@ -24,7 +24,7 @@ def calibrate_results(
 
     Args:
         study: The study; ``calibration.seeds`` says how many fresh trainings.
-        chain: Its arm.
+        task: Its task.
         results: Its results folder, with its answer.
         progress: Report on stderr.
 
@@ -36,7 +36,7 @@ def calibrate_results(
     found = []
     for one in answered:
         fresh = fresh_study(study, one)
-        _run(fresh, chain, one, results, progress)
+        _run(fresh, task, one, results, progress)
         folder = _folder(results, one)
         found.append(calibrate_study(answer, study, fresh, folder, one.method, one.design))
     return found
@@ -70,9 +70,7 @@ def _folder(results: Path, answer: MethodAnswer) -> Path:
     return results / FRESH / f"{answer.method}-{answer.design}"
 
 
-def _run(
-    study: Study, chain: SerialChain, answer: MethodAnswer, results: Path, progress: bool
-) -> None:
+def _run(study: Study, task: Task, answer: MethodAnswer, results: Path, progress: bool) -> None:
     """Trains, measures and proves; each table of a fresh network lies where a study's does."""
     import pandas as pd
 
@@ -85,10 +83,10 @@ def _run(
         cell = Cell(folder, method, samples.label)
         cell.samples_path.parent.mkdir(parents=True, exist_ok=True)
         samples.save(cell.samples_path)
-        tables, _ = evaluate(study, chain, samples, method, cell.folder)
+        tables, _ = evaluate(study, task, samples, method, cell.folder)
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-        proofs.append(certify(study, chain, method, samples, cell.folder))
+        proofs.append(certify(study, task.arm, method, samples, cell.folder))
     pd.concat(proofs).to_csv(folder / method / "certificates.csv", index=False)
 
 

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 from iksamples.answer.adaptive import GUIDES, train_seeds
 from iksamples.answer.proposal import Strategy, disagreement_mm, finite, largest_error_mm, propose
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def next_poses(
     study: Study,
-    chain: SerialChain,
+    task: Task,
     samples: SampleSet,
     k: int,
     strategy: Strategy = "disagreement",
@@ -30,7 +30,7 @@ def next_poses(
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         samples: What is recorded so far (``samples.measured.read_samples``).
         k: How many poses.
         strategy: What makes a pose worth recording; see ``propose``.
@@ -38,10 +38,10 @@ def next_poses(
         progress: Report the training on stderr.
 
     Returns:
-        Columns x_mm, y_mm, z_mm, q_<joint>_rad (the study's branch of the inverse kinematics, as a
-        first guess for the arm), disagreement_mm (how far apart the seeds send the arm there) and
-        error_mm (the largest position error of a seed there, by the arm's model). All poses are
-        inside the workspace and the joint limits.
+        The inputs' columns, such as x_mm; the joints', such as q_elbow_rad (the study's branch of
+        the inverse kinematics, as a first guess for the arm); disagreement_mm
+        (how far apart the seeds send the arm there) and error_mm (the largest position error of a
+        seed there, by the arm's model). All poses are inside the workspace and the joint limits.
 
     Raises:
         IksamplesError: The weights cannot be read or are another arm's; or as ``propose``.
@@ -52,18 +52,18 @@ def next_poses(
         few = study.training.model_copy(update={"seeds": GUIDES, "snapshots": 2})
         network = train_seeds(study.model_copy(update={"training": few}), samples, progress)
     else:
-        network = _load(weights, chain)
-    positions = propose(study, chain, samples, network, k, strategy)
-    joints = reach(study, chain, positions).joints
+        network = _load(weights, task)
+    positions = propose(task, samples, network, k, strategy)
+    joints = task.reach(positions).joints
     network = finite(network)
-    columns: dict[str, Floats] = {f"{axis}_mm": positions[:, i] for i, axis in enumerate(AXES)}
-    columns |= {f"q_{name}_rad": joints[:, i] for i, name in enumerate(chain.joint_names)}
-    columns["disagreement_mm"] = disagreement_mm(network, chain, positions)
-    columns["error_mm"] = largest_error_mm(network, chain, positions)
+    columns: dict[str, Floats] = dict(zip(task.x.columns(), positions.T, strict=True))
+    columns |= dict(zip(task.q.columns("q_"), joints.T, strict=True))
+    columns["disagreement_mm"] = disagreement_mm(network, task.arm, positions)
+    columns["error_mm"] = largest_error_mm(network, task.arm, positions)
     return pd.DataFrame(columns)
 
 
-def _load(weights: Path, chain: SerialChain) -> StackedMLP:
+def _load(weights: Path, task: Task) -> StackedMLP:
     from safetensors import SafetensorError
 
     try:
@@ -71,9 +71,9 @@ def _load(weights: Path, chain: SerialChain) -> StackedMLP:
     except (OSError, SafetensorError, AttributeError, KeyError, ValueError) as error:
         raise IksamplesError(f"{weights}: not a file of trained networks ({error}).") from None
     found = (network.weights[0].shape[1], network.biases[-1].shape[-1])
-    if found != (len(AXES), chain.n_joints):
+    if found != (len(task.x), len(task.q)):
         raise IksamplesError(
             f"{weights}: networks from {found[0]} inputs to {found[1]} joints, but the study's arm "
-            f"has {chain.n_joints} joints. Name the weights trained for this study."
+            f"has {len(task.q)} joints. Name the weights trained for this study."
         )
     return network

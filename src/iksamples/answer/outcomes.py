@@ -115,14 +115,14 @@ def errors_at_samples(study: Study, cell: Cell) -> "np.ndarray | None":
         One error per seed [mm]; None where this cannot be said, since the tolerance is about a path
         or samples were held out.
     """
-    from iksamples.arm.workspace import study_chain
     from iksamples.evaluation.errors import send
+    from iksamples.task import study_task
 
     tolerance = study.tolerance
     held_out = study.all_methods[cell.method].training.held_out.source == "grid"
     if tolerance.where != WORKSPACE or held_out:
         return None
-    error = send(cell.network, study_chain(study), cell.samples.positions_mm).error_mm
+    error = send(cell.network, study_task(study, cell.samples.region), cell.samples.x).error_mm
     error = error[np.isfinite(error).all(axis=1)]
     if tolerance.of == "mean":
         return error.mean(axis=1)

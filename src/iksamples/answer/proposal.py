@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
-from iksamples.study import Study
+from iksamples.task import Task
 
 
 Strategy = Literal["disagreement", "worst"]
@@ -29,8 +28,7 @@ _MAX_TILES_PER_AXIS = 8
 
 
 def propose(
-    study: Study,
-    chain: SerialChain,
+    task: Task,
     samples: SampleSet,
     network: StackedMLP,
     k: int,
@@ -48,8 +46,7 @@ def propose(
       certifies the worst error. Errors are those of the arm's model, so nothing is recorded for it.
 
     Args:
-        study: The study.
-        chain: Its arm.
+        task: Its task.
         samples: What is recorded so far.
         network: Networks trained on it, at least two seeds for ``disagreement``.
         k: How many positions.
@@ -76,16 +73,18 @@ def propose(
                 "Only one finite network, so no seeds that could disagree. Train more seeds, or "
                 "use the strategy 'worst'."
             )
-        points = region_points(study, chain, wanted)
-        return spread(points, disagreement_mm(network, chain, points), samples.positions_mm, k)
-    points = _worst_points(study, chain, network, k)
-    found = spread(points, largest_error_mm(network, chain, points), samples.positions_mm, k, True)
+        points = region_points(task.region, wanted)
+        return spread(points, disagreement_mm(network, task.arm, points), samples.positions_mm, k)
+    points = _worst_points(task, network, k)
+    found = spread(
+        points, largest_error_mm(network, task.arm, points), samples.positions_mm, k, True
+    )
     if len(found) == k:
         return found
     # The worst points were too few, or are recorded already: the workspace has others.
-    points = region_points(study, chain, wanted)
+    points = region_points(task.region, wanted)
     have = np.concatenate([samples.positions_mm, found])
-    rest = spread(points, largest_error_mm(network, chain, points), have, k - len(found))
+    rest = spread(points, largest_error_mm(network, task.arm, points), have, k - len(found))
     return np.concatenate([found, rest])
 
 
@@ -190,22 +189,22 @@ def finite(network: StackedMLP) -> StackedMLP:
     return network.select(np.flatnonzero(good))
 
 
-def _worst_points(study: Study, chain: SerialChain, network: StackedMLP, k: int) -> Floats:
+def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:
     """Each seed's worst point of each tile of the workspace, where usable [mm], shape (n, 3)."""
     from iksamples.certify.search import certify_stack
 
     some = network.select(np.arange(min(network.n_seeds, _SEARCHED)))
-    box = study.workspace
+    d = len(task.x)
     # About twice as many tiles as points, so that neighbours need not both be taken.
-    per_axis = min(int(np.ceil((2 * k) ** (1 / len(AXES)))), _MAX_TILES_PER_AXIS)
-    edges = np.linspace(box.lower_mm, box.upper_mm, per_axis + 1)
-    axes = np.arange(len(AXES))
+    per_axis = min(int(np.ceil((2 * k) ** (1 / d))), _MAX_TILES_PER_AXIS)
+    edges = np.linspace(task.x.lower, task.x.upper, per_axis + 1)
+    axes = np.arange(d)
     found = []
-    for tile in np.ndindex(*[per_axis] * len(AXES)):
+    for tile in np.ndindex(*[per_axis] * d):
         corner = np.array(tile)
         certificates = certify_stack(
             some,
-            chain,
+            task.arm,
             Region.box(edges[corner, axes], edges[corner + 1, axes]),
             rtol=_RTOL,
             max_boxes=_MAX_BOXES,
@@ -213,7 +212,7 @@ def _worst_points(study: Study, chain: SerialChain, network: StackedMLP, k: int)
         )
         found += [certificate.argmax for certificate in certificates]
     points = np.unique(np.array(found), axis=0)
-    return points[reach(study, chain, points).usable]
+    return points[task.reach(points).usable]
 
 
 def _blocks(positions_mm: Floats) -> list[NDArray[np.float64]]:

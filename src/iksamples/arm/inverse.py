@@ -160,8 +160,8 @@ def solve(
     else:
         if start is None:
             raise IksamplesError(
-                "robot.home: this arm's labels are followed from a home posture; give a value for "
-                f"each of {', '.join(chain.joint_names)}, with the tool amid the workspace."
+                "robot.home_rad: this arm's labels are followed from a home posture; give a value "
+                f"for each of {', '.join(chain.joint_names)}, with the tool amid the workspace."
             )
         joints = newton.follow(chain, target, x, start, held)
         in_reach = _arrived(chain, target, joints, x)
@@ -247,13 +247,14 @@ def _checked_home(chain: SerialChain, home: ArrayLike) -> Floats:
     home = np.asarray(home, float)
     if home.shape != (chain.n_joints,) or not np.isfinite(home).all():
         raise IksamplesError(
-            f"robot.home: give one finite value for each of {', '.join(chain.joint_names)}."
+            f"robot.home_rad: give one finite value for each of {', '.join(chain.joint_names)}."
         )
     if not chain.within_limits(home):
         worst = int(np.argmax(np.maximum(chain.lower - home, home - chain.upper)))
         raise IksamplesError(
-            f"robot.home: {chain.joint_names[worst]} = {home[worst]:g} {chain.joint_units[worst]} "
-            f"is outside its limits [{chain.lower[worst]:.3f}, {chain.upper[worst]:.3f}]."
+            f"robot.home_rad: {chain.joint_names[worst]} = {home[worst]:g} "
+            f"{chain.joint_units[worst]} is outside its limits "
+            f"[{chain.lower[worst]:.3f}, {chain.upper[worst]:.3f}]."
         )
     return home
 

@@ -155,12 +155,12 @@ class TableCells:
         """
         lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
         edges = []
-        for i, nodes in enumerate(tensor_grid(samples, "multilinear").axes_mm):
+        for i, nodes in enumerate(tensor_grid(samples, "multilinear").axes):
             # Not cut at the outermost nodes, beyond which the outermost cells go on.
             cuts = nodes[1:-1][(nodes[1:-1] > lower[i]) & (nodes[1:-1] < upper[i])]
             edges.append(np.concatenate([lower[i : i + 1], cuts, upper[i : i + 1]]))
         crossings = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1)
-        table = multilinear.fit(study, chain, samples).predict(crossings.reshape(-1, 3))[0]
+        table = multilinear.fit(samples).predict(crossings.reshape(-1, 3))[0]
         if not np.isfinite(table).all():
             raise IksamplesError(
                 f"{samples.label}: a joint value of the table is not finite; it has no worst case."

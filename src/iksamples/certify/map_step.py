@@ -13,7 +13,6 @@ from iksamples.arm.chain import Floats, SerialChain
 from iksamples.certify.mean import certify_coverage
 from iksamples.certify.search import certify_stack
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
-from iksamples.region import Region
 from iksamples.results import Cell
 from iksamples.study import Study
 
@@ -76,7 +75,7 @@ def map_cell(study: Study, chain: SerialChain, cell: Cell) -> "dict[str, pd.Data
 
     trainings, boxes = [], []
     for seed in shown_seeds(study, cell):
-        trainings.append(_training(study, chain, cell, seed))
+        trainings.append(_training(chain, cell, seed))
         boxes.append(_unsafe(study, chain, cell, seed))
     return {
         TRAINING: pd.concat(trainings, ignore_index=True) if trainings else _empty(_TRAINING),
@@ -112,7 +111,7 @@ def merge_boxes(lower: ArrayLike, upper: ArrayLike) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _training(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
+def _training(chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
     """The certified worst case along a training: what the paper leaves as future work.
 
     All epochs are searched together, which takes less time than starting each search from the
@@ -123,7 +122,7 @@ def _training(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.Da
     epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     finite = networks.finite_rows()
     sound, samples_mm = networks.select(finite), cell.samples.positions_mm
-    certificates = certify_stack(sound, chain, _region(study), rtol=_RTOL, seeds_mm=samples_mm)
+    certificates = certify_stack(sound, chain, cell.samples.region, rtol=_RTOL, seeds_mm=samples_mm)
     errors = np.linalg.norm(chain.forward_mm(sound.predict(samples_mm)) - samples_mm, axis=-1)
     return pd.DataFrame(
         {
@@ -141,7 +140,7 @@ def _training(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.Da
 def _unsafe(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
     import pandas as pd
 
-    region = _region(study)
+    region = cell.samples.region
     coverage = certify_coverage(
         cell.network,
         cell.network.seeds.index(seed),
@@ -164,10 +163,6 @@ def _unsafe(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.Data
         safe_upper=coverage.upper,
         drawn=drawn,
     )[list(_UNSAFE)]
-
-
-def _region(study: Study) -> Region:
-    return Region.box(study.workspace.lower_mm, study.workspace.upper_mm)
 
 
 _TRAINING = (

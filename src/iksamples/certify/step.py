@@ -13,7 +13,6 @@ from iksamples.certify.search import certify_stack
 from iksamples.columns import CERTIFICATES
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.network import StackedMLP
-from iksamples.region import Region
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 
@@ -62,12 +61,11 @@ def certify_networks(
     Returns:
         One row per seed, columns as in ``columns.CERTIFICATES``.
     """
-    region = Region.box(study.workspace.lower_mm, study.workspace.upper_mm)
     sound = network.select(network.finite_rows())
     certificates = certify_stack(
         sound,
         chain,
-        region,
+        samples.region,
         rtol=study.bounds.sup_rtol,
         seeds_mm=samples.positions_mm,
         keep_leaves=True,
@@ -78,7 +76,7 @@ def certify_networks(
             sound,
             row,
             chain,
-            region,
+            samples.region,
             certificate.upper,
             certificate.lower,
             certificate.argmax,
@@ -90,7 +88,7 @@ def certify_networks(
             sound,
             row,
             chain,
-            region,
+            samples.region,
             rtol=study.bounds.mean_rtol,
             atol_mm=study.bounds.mean_atol_mm,
         )

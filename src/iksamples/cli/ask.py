@@ -28,28 +28,29 @@ class Strategy(StrEnum):
 @app.command()
 def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
-    from iksamples.arm.workspace import reach
+    from iksamples.region import Region
     from iksamples.results import networks, sample_sets
-    from iksamples.samples.record import N_CORNERS, record_samples, region_points
+    from iksamples.samples.record import record_samples, region_points
 
-    study, chain = open_study(study_file)
-    require_feasible(study, chain)
-    typer.echo(
-        f"{study.name}: valid; digest {study.digest()}, joints {', '.join(chain.joint_names)}"
-    )
+    study, task = open_study(study_file)
+    require_feasible(study, task)
+    typer.echo(f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}")
     sets, all_recorded = sample_sets(study), []
-    for label, (design, m) in sets.items():
+    for label, (design, n) in sets.items():
         if design == "adaptive":
-            typer.echo(f"  {label}: {m**3} samples, chosen in training")
+            typer.echo(f"  {label}: {n} samples, chosen in training")
             continue
-        recorded = record_samples(study, chain, design, m)
+        recorded = record_samples(study, task, design, n)
         all_recorded.append(recorded)
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
         typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
-    points = region_points(study, chain, study.evaluation.cube_points)
-    left_out = study.evaluation.cube_points + N_CORNERS - len(points)
-    masked = f"; {left_out} more left out" if left_out else ""
-    typer.echo("  workspace: " + _in_words(reach(study, chain, points).summary()) + masked)
+    box = region_points(Region.box(task.x.lower, task.x.upper), study.evaluation.cube_points)
+    typer.echo("  workspace: " + _in_words(task.reach(box).summary()))
+    if task.region.n_boxes > 1:
+        typer.echo(
+            f"  everything is over the usable part of the workspace, {100 * task.region_share:.1f} "
+            "% of the box"
+        )
     typer.echo(
         f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}"
     )
@@ -74,16 +75,16 @@ def plan(
     from iksamples.samples.record import record_samples
     from iksamples.training.step import trained_before
 
-    study, chain = open_study(study_file)
-    require_feasible(study, chain)
+    study, task = open_study(study_file)
+    require_feasible(study, task)
     sets = [
-        record_samples(study, chain, design, m)
-        for design, m in sample_sets(study).values()
+        record_samples(study, task, design, n)
+        for design, n in sample_sets(study).values()
         if design != "adaptive"
     ]
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
-    typer.echo(plan_text(study, plan_study(study, cached), cores))
+    typer.echo(plan_text(study, plan_study(study, len(task.q), cached), cores))
     advise(study, sets)
 
 
@@ -126,9 +127,9 @@ def next_(
     from iksamples.answer.next_poses import next_poses
     from iksamples.samples.measured import read_samples
 
-    study, chain = open_study(study_file)
-    samples = read_samples(study, chain, samples_file)
-    poses = next_poses(study, chain, samples, count, strategy.value, weights, progress=True)
+    study, task = open_study(study_file)
+    samples = read_samples(study, task, samples_file)
+    poses = next_poses(study, task, samples, count, strategy.value, weights, progress=True)
     with whole_file(output) as file:
         poses.round(4).to_csv(file, index=False)
     typer.echo(f"{len(poses)} poses written to {output}")

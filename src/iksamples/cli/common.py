@@ -11,9 +11,9 @@ from iksamples.errors import IksamplesError
 
 
 if TYPE_CHECKING:
-    from iksamples.arm.chain import SerialChain
     from iksamples.samples.dataset import SampleSet
     from iksamples.study import Design, Study
+    from iksamples.task import Task
 
 
 app = typer.Typer(
@@ -50,15 +50,15 @@ MethodFolder = Annotated[
 ]
 
 
-def record_one(study: "Study", chain: "SerialChain", design: "Design", m: int) -> "SampleSet":
+def record_one(study: "Study", task: "Task", design: "Design", n: int) -> "SampleSet":
     """Samples of a design; the adaptive one trains networks to choose them."""
     if design == "adaptive":
         from iksamples.answer.adaptive import adaptive_sets
 
-        return adaptive_sets(study, chain, [m])[m]
+        return adaptive_sets(study, task, [n])[n]
     from iksamples.samples.record import record_samples
 
-    return record_samples(study, chain, design, m)
+    return record_samples(study, task, design, n)
 
 
 def load_samples(files: list[Path]) -> "list[SampleSet]":
@@ -68,13 +68,13 @@ def load_samples(files: list[Path]) -> "list[SampleSet]":
     return [SampleSet.load(file) for file in files]
 
 
-def open_study(study_file: Path) -> "tuple[Study, SerialChain]":
-    """A study and its arm."""
-    from iksamples.arm.workspace import study_chain
+def open_study(study_file: Path) -> "tuple[Study, Task]":
+    """A study and its task."""
     from iksamples.study import read_study
+    from iksamples.task import study_task
 
     study = read_study(study_file)
-    return study, study_chain(study)
+    return study, study_task(study)
 
 
 def advise(study: "Study", sets: "list[SampleSet]") -> None:
@@ -91,13 +91,13 @@ def require_one_of(known: Iterable[str], name: str, what: str) -> None:
         raise IksamplesError(f"{what} '{name}'; there are {', '.join(known)}.")
 
 
-def require_feasible(study: "Study", chain: "SerialChain") -> None:
+def require_feasible(study: "Study", task: "Task") -> None:
     """What a job for one set of samples cannot see of the rest, before anything is trained."""
     from iksamples.evaluation.paths import require_reachable
     from iksamples.samples.record import require_workspace
 
-    require_workspace(study, chain)
-    require_reachable(study, chain)
+    require_workspace(study, task)
+    require_reachable(study, task)
 
 
 @contextmanager

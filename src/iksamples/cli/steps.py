@@ -32,12 +32,12 @@ def samples(
     """Record one set of samples: positions and the joint angles that reach them."""
     from iksamples.results import sample_sets
 
-    study, chain = open_study(study_file)
-    require_feasible(study, chain)
+    study, task = open_study(study_file)
+    require_feasible(study, task)
     sets = sample_sets(study)
     require_one_of(sets, name, f"{study_file}: no samples")
     with whole_file(output) as file:
-        record_one(study, chain, *sets[name]).save(file)
+        record_one(study, task, *sets[name]).save(file)
 
 
 @app.command()
@@ -65,12 +65,16 @@ def evaluate(
 ) -> None:
     """Send a method along the paths and over the workspace; measure through the FK."""
     from iksamples.evaluation.step import evaluate as measure
+    from iksamples.study import read_study
+    from iksamples.task import study_task
 
-    study, chain = open_study(study_file)
+    study = read_study(study_file)
     require_one_of(study.all_methods, method, f"{study_file}: no method")
-    for samples in load_samples(samples_files):
+    all_samples = load_samples(samples_files)
+    task = study_task(study, all_samples[0].region)
+    for samples in all_samples:
         cell = folder / samples.label
-        tables, why_not = measure(study, chain, samples, method, cell)
+        tables, why_not = measure(study, task, samples, method, cell)
         if why_not:
             typer.echo(why_not, err=True)
         for name, table in tables.items():
@@ -85,12 +89,13 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
 
     from iksamples.network import StackedMLP
     from iksamples.paper.audit import audit
+    from iksamples.study import read_study
 
-    study, chain = open_study(study_file)
+    study = read_study(study_file)
     for samples in load_samples(samples_files):
         cell = folder / samples.label
         network = StackedMLP.load(cell / "weights.safetensors")
-        table = audit(study, chain, samples, network, pd.read_parquet(cell / "cube.parquet"))
+        table = audit(study, samples, network, pd.read_parquet(cell / "cube.parquet"))
         with whole_file(cell / "bounds.parquet") as file:
             table.to_parquet(file)
 
@@ -108,12 +113,15 @@ def prove(
 
     from iksamples.certify.step import certify
     from iksamples.results import certified
+    from iksamples.study import read_study
+    from iksamples.task import study_task
 
-    study, chain = open_study(study_file)
+    study = read_study(study_file)
     require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
+    all_samples = load_samples(samples_files)
+    task = study_task(study, all_samples[0].region)
     rows = [
-        certify(study, chain, method, samples, folder / samples.label)
-        for samples in load_samples(samples_files)
+        certify(study, task.arm, method, samples, folder / samples.label) for samples in all_samples
     ]
     with whole_file(output) as file:
         pd.concat(rows).to_csv(file, index=False)
@@ -127,13 +135,15 @@ def map_(study_file: StudyFile, results: Results) -> None:
     from iksamples.certify.map_step import map_cell, shown_seeds
     from iksamples.evaluation.slices import error_slices
     from iksamples.results import cells
+    from iksamples.study import read_study
+    from iksamples.task import study_task
 
-    study, chain = open_study(study_file)
-    for cell in cells(study, results):
-        shown = [
-            error_slices(study, chain, cell.network, seed) for seed in shown_seeds(study, cell)
-        ]
-        tables = map_cell(study, chain, cell)
+    study = read_study(study_file)
+    all_cells = list(cells(study, results))
+    task = study_task(study, all_cells[0].samples.region)
+    for cell in all_cells:
+        shown = [error_slices(task, cell.network, seed) for seed in shown_seeds(study, cell)]
+        tables = map_cell(study, task.arm, cell)
         tables["slices"] = pd.concat(shown) if shown else pd.DataFrame(columns=["seed"])
         for name, rows in tables.items():
             with whole_file(cell.folder / f"{name}.parquet") as file:
@@ -164,11 +174,11 @@ def table(study_file: StudyFile, results: Results) -> None:
     from iksamples.paper.table import study_table
     from iksamples.results import cells
 
-    study, chain = open_study(study_file)
+    study, task = open_study(study_file)
     proofs = pd.read_csv(results / "certificates.csv")
     tables = {
         "table.csv": study_table(study, cells(study, results), proofs),
-        "claims.csv": claims_table(study, chain, results, proofs),
+        "claims.csv": claims_table(study, task, results, proofs),
     }
     for name, rows in tables.items():
         with whole_file(results / name) as file:
@@ -199,12 +209,12 @@ def calibrate(study_file: StudyFile, results: Results, output: Output) -> None:
     from iksamples.answer.calibration import to_json
     from iksamples.answer.fresh import calibrate_results
 
-    study, chain = open_study(study_file)
+    study, task = open_study(study_file)
     if not study.calibration.seeds:
         raise IksamplesError(
             f"{study_file}: calibration.seeds is 0; say how many fresh trainings, 200 for example."
         )
-    found = calibrate_results(study, chain, results, progress=True)
+    found = calibrate_results(study, task, results, progress=True)
     with whole_file(output) as file:
         file.write_text(to_json(found), encoding="utf-8")
     for one in found:

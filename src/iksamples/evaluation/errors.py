@@ -1,126 +1,143 @@
-"""Position errors of networks and other methods on paths and over the whole workspace."""
+"""Errors of networks and other methods on paths and over the whole region."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.evaluation.paths import waypoints_mm
 from iksamples.methods.predictor import Predictor
-from iksamples.samples.dataset import AXES
 from iksamples.samples.record import region_points
-from iksamples.study import Study
+from iksamples.study import Evaluation
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
     import pandas as pd
 
 CUBE = "cube"
-"""Name of the region that is the whole workspace."""
+"""Name of the region of a table that is the whole region of the study."""
+
+MEASURES = {"error_mm": "error_{}_mm", "angle_deg": "angle_{}_deg"}
+"""Column of an error measure -> columns of its statistics over the points of a region."""
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """What a method does when sent to some positions.
+    """What a method does when asked for some inputs.
 
     Attributes:
-        joints: Joint values that each seed answers [rad], shape (seeds, points, joints).
+        joints: Joint values that each seed answers [rad or mm], shape (seeds, points, joints).
         reached_mm: Where the tool goes [mm], shape (seeds, points, 3).
-        error_mm: Distance to where it was sent (paper, Eq. 3, unsquared) [mm],
-            shape (seeds, points).
+        error_mm: Distance to where it was sent (paper, Eq. 3, unsquared) [mm], over the positions
+            among the inputs, shape (seeds, points).
+        angle_deg: Angle to how it was to be turned [deg], shape (seeds, points); None where the
+            orientation is free.
     """
 
     joints: Floats
     reached_mm: Floats
     error_mm: Floats
+    angle_deg: Floats | None
+
+    def errors(self) -> dict[str, Floats]:
+        """The error measures by column name, each of shape (seeds, points)."""
+        turned = {} if self.angle_deg is None else {"angle_deg": self.angle_deg}
+        return {"error_mm": self.error_mm, **turned}
 
 
-def send(predictor: Predictor, chain: SerialChain, targets_mm: Floats) -> Tracking:
-    """Sends a method to positions and follows it through the forward kinematics.
+def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
+    """Asks a method for inputs and follows it through the forward kinematics of the arm itself.
 
     Args:
         predictor: Stacked networks, or any other fitted method.
-        chain: The arm.
-        targets_mm: Positions [mm], shape (points, 3).
+        task: What is learned.
+        x: Inputs [mm or rad], shape (points, d).
     """
-    joints = predictor.predict(targets_mm)
-    reached = chain.forward_mm(joints)
-    return Tracking(joints, reached, np.linalg.norm(reached - targets_mm, axis=-1))
+    joints, target = predictor.predict(x), task.target
+    angle = np.degrees(target.angle_error_rad(task.arm, joints, x)) if task.turns else None
+    return Tracking(
+        joints, task.arm.forward_mm(joints), target.position_error_mm(task.arm, joints, x), angle
+    )
 
 
-def track_paths(study: Study, chain: SerialChain, predictor: Predictor) -> "pd.DataFrame":
+def track_paths(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd.DataFrame":
     """Every waypoint of every path for every seed.
 
     Returns:
-        Columns path, waypoint, seed, target_*_mm, reached_*_mm, q_*_rad, error_mm.
+        Columns path, waypoint, seed, target_* (the inputs), reached_*_mm, q_* (the joints),
+        error_mm and, where the tool's orientation is asked for, angle_deg.
     """
     import pandas as pd
 
     frames = []
-    for name, path in study.evaluation.paths.items():
-        targets = waypoints_mm(path)
-        result = send(predictor, chain, targets)
+    for name, path in evaluation.paths.items():
+        x = waypoints_mm(path)
+        result = send(predictor, task, x)
         n_seeds, n_points = result.error_mm.shape
         columns: dict[str, object] = {
             "path": name,
             "waypoint": np.tile(np.arange(n_points), n_seeds),
             "seed": np.repeat(predictor.seeds, n_points),
         }
-        for i, axis in enumerate(AXES):
-            columns[f"target_{axis}_mm"] = np.tile(targets[:, i], n_seeds)
-        for i, axis in enumerate(AXES):
+        for i, column in enumerate(task.x.columns("target_")):
+            columns[column] = np.tile(x[:, i], n_seeds)
+        for i, axis in enumerate("xyz"):
             columns[f"reached_{axis}_mm"] = result.reached_mm[..., i].ravel()
-        for i, joint in enumerate(chain.joint_names):
-            columns[f"q_{joint}_rad"] = result.joints[..., i].ravel()
-        columns["error_mm"] = result.error_mm.ravel()
+        for i, column in enumerate(task.q.columns("q_")):
+            columns[column] = result.joints[..., i].ravel()
+        columns |= {measure: values.ravel() for measure, values in result.errors().items()}
         frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)
 
 
-def cube_errors(study: Study, chain: SerialChain, predictor: Predictor) -> "pd.DataFrame":
-    """The error at every point of the workspace's dense set for every seed.
+def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd.DataFrame":
+    """The error at every point of the region's dense set for every seed.
 
     Returns:
-        Columns point, seed, error_mm; point counts along ``region_points``.
+        Columns point, seed, error_mm and, where the tool's orientation is asked for, angle_deg;
+        point counts along ``region_points``.
     """
     import pandas as pd
 
-    points = region_points(study, chain, study.evaluation.cube_points)
-    error = send(predictor, chain, points).error_mm
+    points = region_points(task.region, evaluation.cube_points)
+    errors = send(predictor, task, points).errors()
     return pd.DataFrame(
         {
             "point": np.tile(np.arange(len(points), dtype=np.int32), len(predictor.seeds)),
             "seed": np.repeat(np.asarray(predictor.seeds, np.int32), len(points)),
-            "error_mm": error.astype(np.float32).ravel(),
+            **{measure: values.astype(np.float32).ravel() for measure, values in errors.items()},
         }
     )
 
 
 def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame":
-    """Mean, 95th and 99th percentile and maximum of the error, a row for each region and seed.
+    """Mean, 95th and 99th percentile and maximum of each error, a row for each region and seed.
 
     Args:
         waypoints: What ``track_paths`` returned.
         cube: What ``cube_errors`` returned.
 
     Returns:
-        Columns region, seed, error_mean_mm, error_p95_mm, error_p99_mm, error_max_mm.
+        Columns region, seed, error_mean_mm, error_p95_mm, error_p99_mm, error_max_mm, and the same
+        of angle_*_deg where the tool's orientation is asked for.
     """
     import pandas as pd
 
+    measures = [name for name in MEASURES if name in cube]
     everything = pd.concat(
         [
-            waypoints[["path", "seed", "error_mm"]].rename(columns={"path": "region"}),
-            cube[["seed", "error_mm"]].assign(region=CUBE),
+            waypoints[["path", "seed", *measures]].rename(columns={"path": "region"}),
+            cube[["seed", *measures]].assign(region=CUBE),
         ]
     )
-    grouped = everything.groupby(["region", "seed"], sort=False)["error_mm"]
-    return pd.DataFrame(
-        {
-            "error_mean_mm": grouped.mean(),
-            "error_p95_mm": grouped.quantile(0.95),
-            "error_p99_mm": grouped.quantile(0.99),
-            "error_max_mm": grouped.max(),
-        }
-    ).reset_index()
+    grouped = everything.groupby(["region", "seed"], sort=False)
+    statistics = {}
+    for measure in measures:
+        values, column = grouped[measure], MEASURES[measure].format
+        statistics[column("mean")] = values.mean()
+        statistics[column("p95")] = values.quantile(0.95)
+        statistics[column("p99")] = values.quantile(0.99)
+        statistics[column("max")] = values.max()
+    return pd.DataFrame(statistics).reset_index()

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
+from iksamples.arm.chain import Floats
 from iksamples.study import DoubleRectangle, Heart, Study
+from iksamples.task import Task
 
 
 def waypoints_mm(path: DoubleRectangle | Heart) -> Floats:
@@ -29,14 +29,14 @@ def waypoints_mm(path: DoubleRectangle | Heart) -> Floats:
     return np.concatenate(rectangles)
 
 
-def require_reachable(study: Study, chain: SerialChain) -> None:
+def require_reachable(study: Study, task: Task) -> None:
     """Stops where a waypoint of the study cannot be used.
 
     Raises:
         IksamplesError: Names the path, the waypoint and why.
     """
     for name, path in study.evaluation.paths.items():
-        reach(study, chain, waypoints_mm(path)).require_usable(
+        task.reach(waypoints_mm(path)).require_usable(
             f"evaluation.paths.{name}", "Move the path or make it smaller."
         )
 

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from iksamples.arm.chain import SerialChain
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.methods.predictor import NotApplicableError, Predictor
-from iksamples.methods.registry import fit
+from iksamples.methods.registry import KINDS, fit
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -20,13 +20,13 @@ TABLES = ("waypoints", "cube", "errors")
 
 
 def evaluate(
-    study: Study, chain: SerialChain, samples: SampleSet, method: str, folder: Path
+    study: Study, task: Task, samples: SampleSet, method: str, folder: Path
 ) -> "tuple[dict[str, pd.DataFrame], str | None]":
     """Measures a method's errors along the paths and over the workspace.
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         samples: What the method learnt from, or is fitted to now if it is no network.
         method: Name of the method.
         folder: Where a network's weights are.
@@ -41,8 +41,8 @@ def evaluate(
     try:
         predictor: Predictor = (
             StackedMLP.load(folder / "weights.safetensors")
-            if kind == "network"
-            else fit(kind, study, chain, samples)
+            if not KINDS[kind].fit
+            else fit(kind, task, samples)
         )
     except NotApplicableError as reason:
         empty = {
@@ -50,6 +50,6 @@ def evaluate(
             "cube": pd.DataFrame({"point": [], "seed": [], "error_mm": []}),
         }
         return {**empty, "errors": summarise(**empty)}, str(reason)
-    waypoints = track_paths(study, chain, predictor)
-    cube = cube_errors(study, chain, predictor)
+    waypoints = track_paths(study.evaluation, task, predictor)
+    cube = cube_errors(study.evaluation, task, predictor)
     return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}, None

@@ -2,14 +2,12 @@
 
 import numpy as np
 
-from iksamples.arm.chain import SerialChain
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.tensor import tensor_grid
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
-def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(samples: SampleSet) -> Predictor:
     """Interpolates with a cubic spline along each axis, not-a-knot at the ends.
 
     The error of a smooth arm falls as h^4 (de Boor, *A Practical Guide to Splines*, ch. IV and
@@ -26,7 +24,7 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     # Axis by axis, each exactly: SciPy's own tensor splines solve for all axes at once, and
     # iteratively.
     knots, degrees, coefficients = [], [], grid.joints
-    for i, axis in enumerate(grid.axes_mm):
+    for i, axis in enumerate(grid.axes):
         degree = min(3, len(axis) - 1)
         spline = make_interp_spline(axis, coefficients, k=degree, axis=i)
         # SciPy keeps the interpolated axis of the coefficients in front.

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.methods.predictor import Predictor, Single, require_at_most
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ JITTER = 1e-10
 """Variance added on the kernel's diagonal, as a share of the joints': keeps the solve sound."""
 
 
-def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(samples: SampleSet) -> Predictor:
     """The posterior mean of ``regressor``.
 
     Raises:
@@ -29,9 +28,9 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     """
     process = regressor(samples)
 
-    def answer(positions_mm: Floats) -> Floats:
-        mean = process.predict(samples.normalise(positions_mm))
-        return mean.reshape(len(positions_mm), -1)
+    def answer(x: Floats) -> Floats:
+        mean = process.predict(samples.normalise(x))
+        return mean.reshape(len(x), -1)
 
     return Single(answer)
 
@@ -54,7 +53,7 @@ def regressor(samples: SampleSet) -> "GaussianProcessRegressor":
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
     require_at_most(MOST_SAMPLES, samples, "gaussian-process")
-    inputs = samples.normalise(samples.positions_mm)
+    inputs = samples.normalise(samples.x)
     extent = float(np.ptp(inputs, axis=0).max())
     kernel = ConstantKernel(1.0, (1e-3, 1e9)) * Matern(
         extent, (1e-2 * extent, 1e3 * extent), nu=2.5

@@ -1,13 +1,11 @@
 """A look-up table: multilinear interpolation between the samples of a grid."""
 
-from iksamples.arm.chain import SerialChain
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.tensor import tensor_grid
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
-def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(samples: SampleSet) -> Predictor:
     """Interpolates linearly along each axis in turn, in the cell that a position lies in.
 
     What a controller without a library would do. A joint value is off by at most h^2 / 8 times the
@@ -22,5 +20,5 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
 
     grid = tensor_grid(samples, "multilinear")
     return Single(
-        RegularGridInterpolator(grid.axes_mm, grid.joints, bounds_error=False, fill_value=None)
+        RegularGridInterpolator(grid.axes, grid.joints, bounds_error=False, fill_value=None)
     )

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.tensor import tensor_grid
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
-def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(samples: SampleSet) -> Predictor:
     """Interpolates with the polynomial of degree m - 1 along each axis of m points.
 
     Evaluated by the barycentric formula (Berrut and Trefethen, "Barycentric Lagrange
@@ -29,13 +28,13 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
     # order the nodes before it multiplies their distances.
     bases = [
         BarycentricInterpolator(axis, np.eye(len(axis)), rng=np.random.default_rng(0))
-        for axis in grid.axes_mm
+        for axis in grid.axes
     ]
 
-    def answer(positions_mm: Floats) -> Floats:
-        values = np.tensordot(bases[0](positions_mm[:, 0]), grid.joints, axes=1)
+    def answer(x: Floats) -> Floats:
+        values = np.tensordot(bases[0](x[:, 0]), grid.joints, axes=1)
         for i in range(1, len(bases)):
-            values = np.einsum("pm,pm...->p...", bases[i](positions_mm[:, i]), values)
+            values = np.einsum("pm,pm...->p...", bases[i](x[:, i]), values)
         return values
 
     return Single(answer)

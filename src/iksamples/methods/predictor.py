@@ -7,10 +7,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
 _BLOCK = 8192
@@ -34,19 +33,15 @@ class Predictor(Protocol):
     def seeds(self) -> tuple[int, ...]:
         """The seed of each member."""
 
-    def predict(self, positions_mm: ArrayLike) -> Floats:
-        """Joint values for positions.
+    def predict(self, x: ArrayLike, /) -> Floats:
+        """Joint values for inputs.
 
         Args:
-            positions_mm: Positions [mm], shape (points, 3).
+            x: Inputs of the task [mm or rad], shape (points, d).
 
         Returns:
             Joint values [rad, or mm for a prismatic joint], shape (members, points, joints).
         """
-
-
-Fit = Callable[[Study, SerialChain, SampleSet], Predictor]
-"""A method: it fits the samples and returns what answers."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +49,16 @@ class Single:
     """A predictor of one member, made of a function.
 
     Attributes:
-        answer: Joint values (points, joints) for positions [mm] (points, 3).
+        answer: Joint values (points, joints) for inputs (points, d).
     """
 
     answer: Callable[[Floats], Floats]
     seeds: tuple[int, ...] = (0,)
 
-    def predict(self, positions_mm: ArrayLike) -> Floats:
-        """Joint values [rad or mm], shape (1, points, joints), for positions [mm] (points, 3)."""
-        positions = np.asarray(positions_mm, float)
-        blocks = np.split(positions, range(_BLOCK, len(positions), _BLOCK))
+    def predict(self, x: ArrayLike, /) -> Floats:
+        """Joint values [rad or mm], shape (1, points, joints), for inputs (points, d)."""
+        x = np.asarray(x, float)
+        blocks = np.split(x, range(_BLOCK, len(x), _BLOCK))
         return np.concatenate([self.answer(block) for block in blocks])[None]
 
 

@@ -2,17 +2,16 @@
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.methods.predictor import Predictor, Single, require_at_most
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
 
 
 MOST_SAMPLES = 4096
 
 
-def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(samples: SampleSet) -> Predictor:
     """Interpolates with the cubic kernel r^3 and a linear polynomial, in normalised inputs.
 
     Of the interpolants of scattered data this is the one with no length to tune: scaling the inputs
@@ -27,16 +26,14 @@ def fit(study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
 
     require_at_most(MOST_SAMPLES, samples, "rbf")
     try:
-        interpolate = RBFInterpolator(
-            samples.normalise(samples.positions_mm), samples.joints, kernel="cubic"
-        )
+        interpolate = RBFInterpolator(samples.normalise(samples.x), samples.joints, kernel="cubic")
     except (np.linalg.LinAlgError, ValueError) as error:
         raise IksamplesError(
             f"rbf: cannot interpolate {samples.label} ({error}). Take out samples of the same "
             "position, and have at least four that do not lie in one plane."
         ) from None
 
-    def answer(positions_mm: Floats) -> Floats:
-        return interpolate(samples.normalise(positions_mm))
+    def answer(x: Floats) -> Floats:
+        return interpolate(samples.normalise(x))
 
     return Single(answer)

@@ -1,42 +1,62 @@
-"""The methods by the name that the study file gives them."""
+"""The methods by the name that the study file gives them, and what sets each apart."""
 
-from iksamples.arm.chain import SerialChain
+from collections.abc import Callable
+from dataclasses import dataclass
+
 from iksamples.errors import IksamplesError
 from iksamples.methods import analytic, cubic, gaussian_process, multilinear, polynomial, rbf
-from iksamples.methods.predictor import Fit, Predictor
+from iksamples.methods.predictor import Predictor
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
+from iksamples.task import Task
 
 
-FITS: dict[str, Fit] = {
-    "multilinear": multilinear.fit,
-    "cubic": cubic.fit,
-    "polynomial": polynomial.fit,
-    "rbf": rbf.fit,
-    "gaussian-process": gaussian_process.fit,
-    "analytic": analytic.fit,
+@dataclass(frozen=True)
+class Kind:
+    """A kind of method.
+
+    Attributes:
+        fit: Fits samples and returns what answers; None where it is trained instead.
+        stochastic: Every seed gives another answer.
+        needs_grid: Needs a sample at every crossing of a grid (``tensor.tensor_grid``).
+        certifiable: Its worst case can be proved.
+        needs_samples: It learns from the samples at all.
+    """
+
+    fit: Callable[[Task, SampleSet], Predictor] | None
+    stochastic: bool = False
+    needs_grid: bool = False
+    certifiable: bool = False
+    needs_samples: bool = True
+
+
+KINDS: dict[str, Kind] = {
+    "network": Kind(None, stochastic=True, certifiable=True),
+    "multilinear": Kind(lambda _, s: multilinear.fit(s), needs_grid=True, certifiable=True),
+    "cubic": Kind(lambda _, s: cubic.fit(s), needs_grid=True),
+    "polynomial": Kind(lambda _, s: polynomial.fit(s), needs_grid=True),
+    "rbf": Kind(lambda _, s: rbf.fit(s)),
+    "gaussian-process": Kind(lambda _, s: gaussian_process.fit(s)),
+    "analytic": Kind(lambda task, _: analytic.fit(task), needs_samples=False),
 }
-"""Kind of method (``study.MethodKind``) -> how it is fitted. Networks are trained instead."""
-
-ON_A_GRID = ("multilinear", "cubic", "polynomial")
-"""Kinds that need a sample at every crossing of a grid (``tensor.tensor_grid``)."""
+"""Kind of method (``study.MethodKind``) -> what it is."""
 
 
-def fit(kind: str, study: Study, chain: SerialChain, samples: SampleSet) -> Predictor:
+def fit(kind: str, task: Task, samples: SampleSet) -> Predictor:
     """Fits a method to samples.
 
     Args:
-        kind: Key of ``FITS``.
-        study: The study.
-        chain: Its arm.
+        kind: Key of ``KINDS``.
+        task: What is learned.
         samples: What the method may know.
 
     Raises:
         NotApplicableError: The method cannot use samples that lie like this.
-        IksamplesError: There is no such method, or the samples are faulty.
+        IksamplesError: There is no such method to fit, or the samples are faulty.
     """
-    if kind not in FITS:
+    of_kind = KINDS.get(kind)
+    if of_kind is None or of_kind.fit is None:
+        fitted = ", ".join(name for name, one in KINDS.items() if one.fit)
         raise IksamplesError(
-            f"no method '{kind}' to fit; there are {', '.join(FITS)} (a network is trained)."
+            f"no method '{kind}' to fit; there are {fitted} (a network is trained)."
         )
-    return FITS[kind](study, chain, samples)
+    return of_kind.fit(task, samples)

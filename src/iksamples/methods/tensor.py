@@ -9,6 +9,8 @@ from iksamples.methods.predictor import NotApplicableError
 from iksamples.samples.dataset import SampleSet
 
 
+MOST_INPUTS = 4
+"""Inputs of a grid that is worth its samples: with five, two points per axis are 32 of them."""
 _SAME = 1e-9
 """Coordinates nearer than this share of the samples' extent are one coordinate."""
 
@@ -18,11 +20,11 @@ class TensorGrid:
     """Samples at every crossing of some coordinates, however they are spaced.
 
     Attributes:
-        axes_mm: The coordinates along each axis, increasing [mm].
+        axes: The coordinates along each axis, increasing [mm or rad].
         joints: Joint values at the crossings [rad or mm], shape (m_1, ..., m_d, joints).
     """
 
-    axes_mm: tuple[Floats, ...]
+    axes: tuple[Floats, ...]
     joints: Floats
 
 
@@ -34,10 +36,17 @@ def tensor_grid(samples: SampleSet, kind: str) -> TensorGrid:
         kind: The method that asks, for the message.
 
     Raises:
-        NotApplicableError: The samples are no full grid: some are masked, or they are scattered.
+        NotApplicableError: There are too many inputs, or the samples are no full grid: some are
+            masked, or they are scattered.
     """
+    d = samples.x.shape[1]
+    if d > MOST_INPUTS:
+        raise NotApplicableError(
+            f"{kind}: interpolates in 2 to {MOST_INPUTS} inputs, and there are {d}. Use rbf or "
+            "gaussian-process."
+        )
     axes, places = [], []
-    for x in samples.positions_mm.T:
+    for x in samples.x.T:
         values = np.unique(x)
         axis = values[np.diff(values, prepend=-np.inf) > _SAME * np.ptp(x)]
         axes.append(axis)

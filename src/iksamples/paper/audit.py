@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.network import ACTIVATIONS, StackedMLP
 from iksamples.paper import equations as paper
 from iksamples.samples.dataset import SampleSet
@@ -26,13 +26,12 @@ def scale_mm(study: Study) -> float:
 
 
 def audit(
-    study: Study, chain: SerialChain, samples: SampleSet, network: StackedMLP, cube: "pd.DataFrame"
+    study: Study, samples: SampleSet, network: StackedMLP, cube: "pd.DataFrame"
 ) -> "pd.DataFrame":
     """The paper's bounds for every trained network, and how often each is exceeded.
 
     Args:
         study: The study.
-        chain: Its arm.
         samples: What the networks were trained on.
         network: The trained networks.
         cube: Errors over the whole workspace (``evaluation.errors.cube_errors``).
@@ -50,7 +49,7 @@ def audit(
 
     scale = scale_mm(study)
     n = samples.points_per_axis ** samples.positions_mm.shape[1]
-    points = region_points(study, chain, study.evaluation.cube_points)
+    points = region_points(samples.region, study.evaluation.cube_points)
     error_mm = cube.pivot(index="seed", columns="point", values="error_mm")
     errors: Floats = error_mm.loc[list(network.seeds)].to_numpy(float)
     distance, _ = KDTree(samples.normalise(samples.positions_mm)).query(samples.normalise(points))

@@ -8,8 +8,7 @@ import numpy as np
 
 from iksamples.answer.curves import Curve, fit_published, fit_seeds
 from iksamples.answer.statistics import FEWEST_SEEDS, draws
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.closed_form import yaw_pitch_pitch
+from iksamples.arm.chain import Floats
 from iksamples.evaluation.errors import send
 from iksamples.paper.audit import input_jacobian, scale_mm
 from iksamples.paper.claims import judge_claims
@@ -18,6 +17,7 @@ from iksamples.paper.table import paper_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import region_points
 from iksamples.study import NETWORK, Study
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -33,13 +33,13 @@ _RESAMPLES = 4000
 
 
 def claims_table(
-    study: Study, chain: SerialChain, results: str | Path, proofs: "pd.DataFrame"
+    study: Study, task: Task, results: str | Path, proofs: "pd.DataFrame"
 ) -> "pd.DataFrame":
     """Every claim of the paper with its verdict; no row where the samples are not on grids.
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         results: Its results folder.
         proofs: Its certificates.
 
@@ -52,7 +52,7 @@ def claims_table(
     sound = [cell for cell in cells(study, results) if len(cell.sound_errors)]
     if study.samples.design != "grid" or not sound:
         return pd.DataFrame(columns=columns)
-    rows = judge_claims(_gather(study, chain, sound, proofs))
+    rows = judge_claims(_gather(study, task, sound, proofs))
     return pd.DataFrame([vars(row) for row in rows], columns=columns)
 
 
@@ -68,15 +68,13 @@ def fall(before: Floats, after: Floats) -> Ends:
     return Ends(share, *(float(q) for q in np.quantile(1 - second / first, [0.025, 0.975])))
 
 
-def _gather(
-    study: Study, chain: SerialChain, sound: Sequence[Cell], proofs: "pd.DataFrame"
-) -> Evidence:
-    points = region_points(study, chain, _POINTS)
-    angles = yaw_pitch_pitch(chain, points, study.robot.elbow)
-    jacobians = np.abs(chain.jacobian_mm(angles))
+def _gather(study: Study, task: Task, sound: Sequence[Cell], proofs: "pd.DataFrame") -> Evidence:
+    points = region_points(task.region, _POINTS)
+    angles = task.reach(points).joints
+    jacobians = np.abs(task.drawing.jacobian_mm(angles))
     sides = np.subtract(study.workspace.upper_mm, study.workspace.lower_mm)
     normalised = jacobians * np.ptp(angles, axis=0) / sides[:, None]
-    grids = [_grid(study, chain, cell, proofs, points) for cell in sound]
+    grids = [_grid(study, task, cell, proofs, points) for cell in sound]
     levelling = None
     if len(grids) > 1:
         before = next((one for one in grids[:-1] if one.m == _SATURATION_M), grids[-2])
@@ -111,7 +109,7 @@ def _path_errors(study: Study, cell: Cell) -> "pd.Series[float]":
 
 
 def _grid(
-    study: Study, chain: SerialChain, cell: Cell, proofs: "pd.DataFrame", points: Floats
+    study: Study, task: Task, cell: Cell, proofs: "pd.DataFrame", points: Floats
 ) -> GridEvidence:
     errors = _path_errors(study, cell)
     seeds = [int(seed) for seed in errors.index]
@@ -119,7 +117,7 @@ def _grid(
     network = cell.network.select([cell.network.seeds.index(seed) for seed in seeds])
     samples = cell.samples
     slope = np.abs(input_jacobian(network, points)).max(axis=(1, 2, 3))
-    at_samples = send(network, chain, samples.positions_mm).error_mm
+    at_samples = send(network, task, samples.x).error_mm
     if study.training.held_out.source == "grid":
         at_samples = np.full_like(at_samples, np.nan)  # some of them were not trained on
     own = proofs[(proofs["method"] == NETWORK) & (proofs["label"] == cell.label)]

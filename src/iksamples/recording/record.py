@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
 from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
-from iksamples.arm.workspace import study_chain
 from iksamples.errors import IksamplesError
 from iksamples.recording.colours import BLACK, GREY, RED, Colour, blues
 from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
@@ -22,6 +21,7 @@ from iksamples.recording.proofs import Proof, log_proof, read_proof
 from iksamples.recording.shown import ShownGrid, read_grid
 from iksamples.results import Cell
 from iksamples.study import Study
+from iksamples.task import study_task
 
 
 # Smooth enough for the eye, few enough for a small file.
@@ -45,9 +45,10 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
     Raises:
         IksamplesError: No grid can be shown, or the path was not evaluated.
     """
-    chain = study_chain(study)
     by_label = {cell.label: cell for cell in cells}
-    read = [read_grid(chain, path_name, cell) for cell in by_label.values()]
+    task = study_task(study, next(iter(by_label.values())).samples.region)
+    chain = task.arm
+    read = [read_grid(task, path_name, cell) for cell in by_label.values()]
     shown = [grid for grid in read if grid.finite]
     if not shown:
         raise IksamplesError(

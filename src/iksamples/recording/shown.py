@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Tracking, send
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
 from iksamples.results import Cell
 from iksamples.samples.dataset import AXES
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -59,11 +60,11 @@ class ShownGrid:
         return bool(np.all(np.isfinite(self.joints)) and np.all(np.isfinite(self.learning.joints)))
 
 
-def read_grid(chain: SerialChain, path_name: str, cell: Cell) -> ShownGrid:
+def read_grid(task: Task, path_name: str, cell: Cell) -> ShownGrid:
     """Reads what a recording shows of one grid.
 
     Args:
-        chain: The study's arm.
+        task: The study's task.
         path_name: Which path.
         cell: The grid's results.
 
@@ -76,17 +77,17 @@ def read_grid(chain: SerialChain, path_name: str, cell: Cell) -> ShownGrid:
         raise IksamplesError(f"{cell.folder}: path '{path_name}' was not evaluated.")
     seed = median_seed(table)
     rows = table[table["seed"] == seed].sort_values("waypoint")
-    target_mm = rows[[f"target_{axis}_mm" for axis in AXES]].to_numpy(float)
+    target = rows[task.x.columns("target_")].to_numpy(float)
     epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     return ShownGrid(
         label=cell.label,
         samples_mm=cell.samples.positions_mm,
         n_seeds=table["seed"].nunique(),
         seed=seed,
-        target_mm=target_mm,
-        joints=rows[[f"q_{name}_rad" for name in chain.joint_names]].to_numpy(float),
+        target_mm=target,
+        joints=rows[task.q.columns("q_")].to_numpy(float),
         reached_mm=rows[[f"reached_{axis}_mm" for axis in AXES]].to_numpy(float),
         error_mm=rows["error_mm"].to_numpy(float),
         epochs=epochs,
-        learning=send(networks, chain, target_mm),
+        learning=send(networks, task, target),
     )

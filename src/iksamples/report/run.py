@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from iksamples.arm.workspace import study_chain
 from iksamples.report import provenance, views
 from iksamples.report.data import ReportData
 from iksamples.report.markdown import code
 from iksamples.report.scene import scene
 from iksamples.study import Study
+from iksamples.task import study_chain
 
 
 _PATH_SETS = 4

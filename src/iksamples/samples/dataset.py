@@ -1,4 +1,4 @@
-"""One set of samples: positions of the tool centre point and the joint values that reach them."""
+"""One set of samples: inputs of the task and the joint values that answer them."""
 
 import hashlib
 import json
@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from iksamples import __version__
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
+from iksamples.region import Region
+from iksamples.task import Space
 
 
 AXES = ("x", "y", "z")
@@ -24,33 +26,37 @@ class SampleSet:
     Attributes:
         label: Name of the set, such as ``grid5``.
         design: How the points are placed, such as ``grid``.
-        points_per_axis: m; there are m^3 samples, less those masked.
-        joint_names: One name per joint.
-        positions_mm: The samples' positions [mm], shape (n, 3).
-        joints: The samples' joint values [rad], shape (n, joints).
-        validation_mm: Fresh positions for the validation loss [mm], shape (v, 3), may be empty.
-        validation_joints: Their joint values [rad], shape (v, joints).
-        test_mm: Fresh positions for the test loss [mm], shape (t, 3), may be empty.
-        test_joints: Their joint values [rad], shape (t, joints).
-        offset_mm: What the normalisation subtracts [mm], shape (3,).
-        scale_mm: What the normalisation divides by [mm], shape (3,).
-        spacing_mm: Distance d between neighbours of an even grid [mm]; NaN for other designs.
-        fill_distance_mm: Largest distance from a point of the region to its nearest sample [mm].
+        space: The inputs, with the workspace's limits.
+        joint_space: The joints, with theirs.
+        region: The usable part of the workspace, which the samples are of.
+        x: The samples' inputs [mm or rad], shape (n, d).
+        joints: Their joint values [rad or mm], shape (n, joints).
+        validation_x: Fresh inputs for the validation loss, shape (v, d), may be empty.
+        validation_joints: Their joint values, shape (v, joints).
+        test_x: Fresh inputs for the test loss, shape (t, d), may be empty.
+        test_joints: Their joint values, shape (t, joints).
+        offset: What the normalisation subtracts [mm or rad], shape (d,).
+        scale: What the normalisation divides by [mm or rad], shape (d,).
+        spacing_mm: Longest distance between neighbours of an even grid along a position axis [mm];
+            NaN for other designs.
+        fill_distance_mm: Largest distance from a point of the region to its nearest sample [mm];
+            NaN where angles are among the inputs.
         n_masked: Points left out because the arm cannot use them.
     """
 
     label: str
     design: str
-    points_per_axis: int
-    joint_names: tuple[str, ...]
-    positions_mm: Floats
+    space: Space
+    joint_space: Space
+    region: Region
+    x: Floats
     joints: Floats
-    validation_mm: Floats
+    validation_x: Floats
     validation_joints: Floats
-    test_mm: Floats
+    test_x: Floats
     test_joints: Floats
-    offset_mm: Floats
-    scale_mm: Floats
+    offset: Floats
+    scale: Floats
     spacing_mm: float
     fill_distance_mm: float
     n_masked: int
@@ -58,18 +64,66 @@ class SampleSet:
     @property
     def n_samples(self) -> int:
         """Number of samples."""
-        return len(self.positions_mm)
+        return len(self.x)
 
-    def normalise(self, positions_mm: ArrayLike) -> Floats:
-        """Network inputs for positions [mm], shape (..., 3)."""
-        return (np.asarray(positions_mm, float) - self.offset_mm) / self.scale_mm
+    @property
+    def points_per_axis(self) -> int:
+        """m of m^d samples, those masked included; the nearest where they are no such number."""
+        return round((self.n_samples + self.n_masked) ** (1 / len(self.space)))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """One name per joint."""
+        return self.joint_space.names
+
+    @property
+    def output_scale(self) -> Floats:
+        """What joint values are divided by before a network learns them, shape (joints,).
+
+        One for an angle; for a length the power of two [mm] that is nearest to half of what the
+        samples need of it, so that the loss weighs it like an angle of about a radian either way.
+        A power of two, since a product with it is exact.
+        """
+        extent = np.ptp(self.joints, axis=0)
+        power = np.exp2(np.round(np.log2(np.maximum(extent, 1e-6) / 2)))
+        return np.where([unit == "mm" for unit in self.joint_space.units], power, 1.0)
+
+    @property
+    def positions_mm(self) -> Floats:
+        """The samples' inputs, under their former name."""
+        return self.x
+
+    @property
+    def validation_mm(self) -> Floats:
+        """Fresh inputs for the validation loss, under their former name."""
+        return self.validation_x
+
+    @property
+    def test_mm(self) -> Floats:
+        """Fresh inputs for the test loss, under their former name."""
+        return self.test_x
+
+    @property
+    def offset_mm(self) -> Floats:
+        """What the normalisation subtracts, under its former name."""
+        return self.offset
+
+    @property
+    def scale_mm(self) -> Floats:
+        """What the normalisation divides by, under its former name."""
+        return self.scale
+
+    def normalise(self, x: ArrayLike) -> Floats:
+        """Network inputs for inputs of the task, shape (..., d)."""
+        return (np.asarray(x, float) - self.offset) / self.scale
 
     def digest(self) -> str:
         """Twelve hexadecimal digits of everything a training reads from the set."""
         content = hashlib.sha256()
-        for array in (*self._parts("mm"), *self._parts("joints"), self.offset_mm, self.scale_mm):
+        for array in (*self._inputs(), *self._answers(), self.offset, self.scale):
             content.update(str(array.shape).encode())
             content.update(np.ascontiguousarray(array, float).tobytes())
+        content.update("".join(self.joint_space.units).encode())
         return content.hexdigest()[:12]
 
     def save(self, path: str | Path) -> None:
@@ -77,19 +131,24 @@ class SampleSet:
         import pyarrow as pa
         from pyarrow import parquet
 
-        positions = self._parts("mm")
-        mm, joints = np.concatenate(positions), np.concatenate(self._parts("joints"))
-        columns: dict[str, object] = {"role": np.repeat(_ROLES, [len(part) for part in positions])}
-        columns |= {f"{axis}_mm": mm[:, i] for i, axis in enumerate(AXES)}
-        columns |= {f"{axis}_input": self.normalise(mm)[:, i] for i, axis in enumerate(AXES)}
-        columns |= {f"q_{name}_rad": joints[:, i] for i, name in enumerate(self.joint_names)}
+        inputs = self._inputs()
+        x, joints = np.concatenate(inputs), np.concatenate(self._answers())
+        columns: dict[str, object] = {"role": np.repeat(_ROLES, [len(part) for part in inputs])}
+        columns |= dict(zip(self.space.columns(), x.T, strict=True))
+        normal = self.normalise(x).T
+        columns |= {f"{name}_input": normal[i] for i, name in enumerate(self.space.names)}
+        columns |= dict(zip(self.joint_space.columns("q_"), joints.T, strict=True))
         header = {
             "label": self.label,
             "design": self.design,
-            "points_per_axis": self.points_per_axis,
-            "joint_names": self.joint_names,
-            "offset_mm": self.offset_mm.tolist(),
-            "scale_mm": self.scale_mm.tolist(),
+            "space": _to_json(self.space),
+            "joint_space": _to_json(self.joint_space),
+            "region": {
+                "lower": self.region.lower.tolist(),
+                "upper": self.region.upper.tolist(),
+            },
+            "offset": self.offset.tolist(),
+            "scale": self.scale.tolist(),
             "spacing_mm": self.spacing_mm,
             "fill_distance_mm": self.fill_distance_mm,
             "n_masked": self.n_masked,
@@ -112,6 +171,9 @@ class SampleSet:
         try:
             table = parquet.read_table(path)
             header = json.loads(table.schema.metadata[b"iksamples"])
+            space, joint_space = (_from_json(header[key]) for key in ("space", "joint_space"))
+        except FileNotFoundError:
+            raise
         except (OSError, pa.ArrowInvalid, KeyError, TypeError) as error:
             raise IksamplesError(f"{path}: not a file of samples ({error}).") from None
 
@@ -119,25 +181,46 @@ class SampleSet:
             rows = table.filter(pa.compute.equal(table["role"], role))
             return np.stack([rows[name].to_numpy() for name in names], axis=-1)
 
-        mm = [f"{axis}_mm" for axis in AXES]
-        joints = [f"q_{name}_rad" for name in header["joint_names"]]
-        samples, validation, test = ((take(role, mm), take(role, joints)) for role in _ROLES)
+        columns = space.columns(), joint_space.columns("q_")
+        samples, validation, test = (
+            (take(role, columns[0]), take(role, columns[1])) for role in _ROLES
+        )
         return cls(
             header["label"],
             header["design"],
-            header["points_per_axis"],
-            tuple(header["joint_names"]),
+            space,
+            joint_space,
+            Region(header["region"]["lower"], header["region"]["upper"]),
             *samples,
             *validation,
             *test,
-            np.array(header["offset_mm"]),
-            np.array(header["scale_mm"]),
+            np.array(header["offset"]),
+            np.array(header["scale"]),
             header["spacing_mm"],
             header["fill_distance_mm"],
             header["n_masked"],
         )
 
-    def _parts(self, what: str) -> tuple[Floats, Floats, Floats]:
-        if what == "mm":
-            return self.positions_mm, self.validation_mm, self.test_mm
+    def _inputs(self) -> tuple[Floats, Floats, Floats]:
+        return self.x, self.validation_x, self.test_x
+
+    def _answers(self) -> tuple[Floats, Floats, Floats]:
         return self.joints, self.validation_joints, self.test_joints
+
+
+def _to_json(space: Space) -> dict[str, object]:
+    return {
+        "names": space.names,
+        "units": space.units,
+        "lower": space.lower.tolist(),
+        "upper": space.upper.tolist(),
+    }
+
+
+def _from_json(entry: dict[str, list]) -> Space:
+    return Space(
+        tuple(entry["names"]),
+        tuple(entry["units"]),
+        np.array(entry["lower"]),
+        np.array(entry["upper"]),
+    )

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_set
 from iksamples.study import Study
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -24,24 +24,24 @@ _MISSED_MM = 1.0
 _OTHER_BRANCH_RAD = 0.5
 
 
-def read_samples(study: Study, chain: SerialChain, path: str | Path) -> SampleSet:
+def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
     """Samples from a file: CSV by its name's end, else a Parquet file of this package.
 
     Raises:
         IksamplesError: As ``read_samples_csv``, or the samples are another arm's.
     """
     if Path(path).suffix.lower() == ".csv":
-        return read_samples_csv(study, chain, path)
+        return read_samples_csv(study, task, path)
     samples = SampleSet.load(path)
-    if samples.joint_names != chain.joint_names:
+    if samples.joint_names != task.q.names:
         raise IksamplesError(
             f"{path}: samples of the joints {', '.join(samples.joint_names)}, but the study's arm "
-            f"has {', '.join(chain.joint_names)}. Name the study they were recorded for."
+            f"has {', '.join(task.q.names)}. Name the study they were recorded for."
         )
     return samples
 
 
-def read_samples_csv(study: Study, chain: SerialChain, path: str | Path) -> SampleSet:
+def read_samples_csv(study: Study, task: Task, path: str | Path) -> SampleSet:
     """Samples from a CSV file with columns ``x_mm``, ``y_mm``, ``z_mm`` and ``q_<joint>_rad``.
 
     A real arm is never quite its model, so a row whose joint values do not reach its position is
@@ -50,36 +50,37 @@ def read_samples_csv(study: Study, chain: SerialChain, path: str | Path) -> Samp
 
     Args:
         study: The study; its fresh points check the training.
-        chain: Its arm.
+        task: Its task.
         path: The file.
 
     Raises:
         IksamplesError: The file cannot be read, lacks a column, holds something that is not a
             number, or too little to span a volume.
     """
-    positions, joints = _numbers(path, chain)
+    positions, joints = _numbers(path, task)
     if len(positions) < 2:
         raise IksamplesError(f"{path}: {len(positions)} samples; at least 2 are needed.")
     flat = [
-        axis for axis, extent in zip(AXES, np.ptp(positions, axis=0), strict=True) if not extent
+        column
+        for column, extent in zip(task.x.columns(), np.ptp(positions, axis=0), strict=True)
+        if not extent
     ]
     if flat:
         raise IksamplesError(
-            f"{path}: {flat[0]}_mm is the same in every row, so the samples span no volume. "
+            f"{path}: {flat[0]} is the same in every row, so the samples span no volume. "
             "Record some at another place, such as the workspace's corners."
         )
-    for line in _doubts(study, chain, positions, joints):
+    for line in _doubts(task, positions, joints):
         print(f"{path}: {line}", file=sys.stderr)
     n = len(positions)
-    m = round(n ** (1 / len(AXES)))
-    return sample_set(study, chain, f"{MEASURED}{n}", MEASURED, m, positions, joints)
+    return sample_set(study, task, f"{MEASURED}{n}", MEASURED, positions, joints)
 
 
-def _numbers(path: str | Path, chain: SerialChain) -> tuple[Floats, Floats]:
+def _numbers(path: str | Path, task: Task) -> tuple[Floats, Floats]:
     """Positions [mm] and joint values [rad or mm] of every row, all finite."""
     import pandas as pd
 
-    wanted = [f"{axis}_mm" for axis in AXES] + [f"q_{name}_rad" for name in chain.joint_names]
+    wanted = task.x.columns() + task.q.columns("q_")
     try:
         # As text, so that a word among the numbers can be named.
         table = pd.read_csv(path, dtype=str, skipinitialspace=True, encoding="utf-8-sig")
@@ -99,7 +100,7 @@ def _numbers(path: str | Path, chain: SerialChain) -> tuple[Floats, Floats]:
     bad = np.argwhere(~np.isfinite(numbers))
     if len(bad):
         raise IksamplesError(_not_a_number(path, table, wanted, bad))
-    return numbers[:, : len(AXES)], numbers[:, len(AXES) :]
+    return numbers[:, : len(task.x)], numbers[:, len(task.x) :]
 
 
 def _not_a_number(
@@ -115,10 +116,11 @@ def _not_a_number(
     )
 
 
-def _doubts(study: Study, chain: SerialChain, positions: Floats, joints: Floats) -> list[str]:
+def _doubts(task: Task, positions: Floats, joints: Floats) -> list[str]:
     """What is odd about the samples, a line each."""
-    missed = np.linalg.norm(chain.forward_mm(joints) - positions, axis=-1)
-    expected = reach(study, chain, positions)
+    chain = task.arm
+    missed = task.target.position_error_mm(chain, joints, positions)
+    expected = task.reach(positions)
     revolute = np.array([kind == "revolute" for kind in chain.joint_kinds])
     turn = np.abs(np.angle(np.exp(1j * (joints - expected.joints)[:, revolute])))
     other = (missed <= _MISSED_MM) & expected.in_reach & np.any(turn > _OTHER_BRANCH_RAD, axis=1)

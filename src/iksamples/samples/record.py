@@ -1,16 +1,17 @@
-"""Recording samples: a design's positions, the joint values there, and fresh points beside them."""
+"""Recording samples: a design's inputs, the joint values there, and fresh points beside them."""
 
 from collections.abc import Callable
 from typing import get_args
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.workspace import reach
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
+from iksamples.region import Region
 from iksamples.samples import designs
 from iksamples.samples.dataset import AXES, SampleSet
-from iksamples.study import Design, Study
+from iksamples.study import TENSOR, Design, Study
+from iksamples.task import Task
 
 
 ADAPTIVE: Design = "adaptive"
@@ -21,185 +22,179 @@ _FRESH_STREAM = {"validation": 1, "test": 2}
 _DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
 _MAX_DRAWS = 1000
 _REGION_POINTS = 4096
+_LATTICE_POINTS = 2200
 N_CORNERS = 2 ** len(AXES)
-"""Corners of the workspace, which ``region_points`` adds to its Sobol points."""
-
-_LATTICE = 13
+"""Corners of a box of positions, which ``region_points`` adds to its Sobol points."""
 
 
-def record_samples(
-    study: Study, chain: SerialChain, design: Design, points_per_axis: int
-) -> SampleSet:
-    """Samples of the study's workspace, placed by a design.
+def record_samples(study: Study, task: Task, design: Design, n: int) -> SampleSet:
+    """Samples of the task's region, placed by a design.
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         design: How the points are placed.
-        points_per_axis: m; there are m^3 points.
+        n: How many are wanted; a grid takes the nearest number that it can.
 
     Raises:
         IksamplesError: The arm cannot use a point of the design and the study does not mask it,
             too few points are left, or the design is the adaptive one.
     """
-    points = _place(study, chain, design, points_per_axis)
-    return samples_at(study, chain, design, points_per_axis, points)
+    return samples_at(study, task, design, n, _place(study, task, design, n))
 
 
-def samples_at(
-    study: Study, chain: SerialChain, design: Design, points_per_axis: int, points: Floats
-) -> SampleSet:
-    """Samples at given positions.
+def samples_at(study: Study, task: Task, design: Design, n: int, x: Floats) -> SampleSet:
+    """Samples at given inputs, less those that the arm cannot use.
 
     Args:
         study: The study.
-        chain: Its arm.
-        design: What placed the positions.
-        points_per_axis: m of the design; it was to place m^3 points.
-        points: Positions [mm], shape (points, 3).
+        task: Its task.
+        design: What placed the inputs.
+        n: How many were wanted.
+        x: Inputs [mm or rad], shape (points, d).
 
     Raises:
         IksamplesError: As ``record_samples``.
     """
-    box = study.workspace
-    n_wanted = points_per_axis ** len(AXES)
-    label = sample_label(design, points_per_axis)
-    answer = reach(study, chain, points)
+    label = sample_label(study, design, n)
+    answer = task.reach(x)
     if study.samples.unreachable == "error":
         answer.require_usable(
             f"{label} of the workspace",
             "Move the workspace, widen robot.limits_rad, or set samples.unreachable: mask.",
         )
-    kept = answer.usable
-    n = int(np.sum(kept))
-    if n < 2 or np.any(np.ptp(points[kept], axis=0) == 0):
+    kept = answer.usable & task.region.contains(x)
+    n_kept = int(np.sum(kept))
+    if n_kept < 2 or np.any(np.ptp(x[kept], axis=0) == 0):
         raise IksamplesError(
-            f"{label} of the workspace: only {n} of {len(points)} points can be used, too few "
+            f"{label} of the workspace: only {n_kept} of {len(x)} points can be used, too few "
             "to span it. Move the workspace or drop this size."
         )
-    whole_grid = design == "grid" and n == n_wanted
-    sides = box.lower_mm, box.upper_mm, points_per_axis
+    wanted = int(np.prod(study.grid_shape(n))) if design in TENSOR else n
     return sample_set(
         study,
-        chain,
+        task,
         label,
         design,
-        points_per_axis,
-        points[kept],
+        x[kept],
         answer.joints[kept],
-        spacing_mm=designs.grid_spacing_mm(*sides) if design == "grid" else np.nan,
-        fill_distance_mm=designs.grid_fill_distance_mm(*sides) if whole_grid else None,
-        n_masked=n_wanted - n,
+        grid=study.grid_shape(n) if design == "grid" else None,
+        n_masked=wanted - n_kept,
     )
 
 
 def sample_set(
     study: Study,
-    chain: SerialChain,
+    task: Task,
     label: str,
     design: str,
-    points_per_axis: int,
-    positions_mm: Floats,
+    x: Floats,
     joints: Floats,
     *,
-    spacing_mm: float = np.nan,
-    fill_distance_mm: float | None = None,
+    grid: tuple[int, ...] | None = None,
     n_masked: int = 0,
 ) -> SampleSet:
     """Samples that are recorded already, with fresh points beside them.
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         label: Name of the set.
-        design: What placed the positions.
-        points_per_axis: m of the design.
-        positions_mm: Positions [mm], shape (n, 3), that differ along every axis.
-        joints: Joint values there [rad], shape (n, joints).
-        spacing_mm: Distance between neighbours of an even grid [mm].
-        fill_distance_mm: Fill distance [mm]; None: measured.
+        design: What placed the inputs.
+        x: Inputs [mm or rad], shape (n, d), that differ along every axis.
+        joints: Joint values there [rad or mm], shape (n, joints).
+        grid: Points along each axis where they are of an even grid of the whole workspace.
         n_masked: Points left out.
     """
-    n = len(positions_mm)
-    if fill_distance_mm is None:
-        region = region_points(study, chain, _REGION_POINTS)
-        fill_distance_mm = designs.fill_distance_mm(positions_mm, region)
+    spacing = fill = np.nan
+    lengths = np.array([unit == "mm" for unit in task.x.units])
+    if grid:
+        steps = designs.grid_spacing(task.x.lower, task.x.upper, grid)
+        spacing = float(steps[lengths].max())
+    if lengths.all():
+        if grid and not n_masked:
+            fill = float(np.linalg.norm(steps) / 2)
+        else:
+            fill = designs.fill_distance(x, region_points(task.region, _REGION_POINTS))
     return SampleSet(
         label,
         design,
-        points_per_axis,
-        chain.joint_names,
-        positions_mm,
+        task.x,
+        task.q,
+        task.region,
+        x,
         joints,
-        *_fresh(study, chain, n, "validation"),
-        *_fresh(study, chain, n, "test"),
-        *_normalisation(study.samples.normalisation, positions_mm),
-        spacing_mm,
-        fill_distance_mm,
+        *_fresh(study, task, len(x), "validation"),
+        *_fresh(study, task, len(x), "test"),
+        *_normalisation(study.samples.normalisation, x),
+        spacing,
+        fill,
         n_masked,
     )
 
 
-def grid_samples(study: Study, chain: SerialChain, points_per_axis: int) -> SampleSet:
-    """Samples on an even grid of the study's workspace; see ``record_samples``."""
-    return record_samples(study, chain, "grid", points_per_axis)
+def grid_samples(study: Study, task: Task, points_per_axis: int) -> SampleSet:
+    """Samples on an even grid with so many points along each axis; see ``record_samples``."""
+    return record_samples(study, task, "grid", points_per_axis ** len(task.x))
 
 
-def sample_label(design: Design, points_per_axis: int) -> str:
-    """Name of a set of samples: ``grid5`` for 5 points per axis, ``sobol125`` for 125 points."""
-    tensor = design in ("grid", "chebyshev")
-    return f"{design}{points_per_axis if tensor else points_per_axis ** len(AXES)}"
+def sample_label(study: Study, design: Design, n: int) -> str:
+    """Name of a set of samples: ``grid5`` (5 points per axis), ``grid4x3x3``, ``sobol125``."""
+    if design not in TENSOR:
+        return f"{design}{n}"
+    shape = study.grid_shape(n)
+    return f"{design}{shape[0] if len(set(shape)) == 1 else 'x'.join(map(str, shape))}"
 
 
-def _place(study: Study, chain: SerialChain, design: Design, points_per_axis: int) -> Floats:
-    """Positions of a design [mm]; those of a random design that the arm cannot use are redrawn."""
+def _place(study: Study, task: Task, design: Design, n: int) -> Floats:
+    """Inputs of a design; those of a random design that the arm cannot use are redrawn."""
     if design == ADAPTIVE:
         raise IksamplesError(
-            f"{sample_label(design, points_per_axis)}: adaptive samples follow from networks that "
+            f"{sample_label(study, design, n)}: adaptive samples follow from networks that "
             "are trained on the way, so they cannot be placed in one step. Make them with "
             "iksamples.answer.adaptive."
         )
-    box = study.workspace.lower_mm, study.workspace.upper_mm
-    n = points_per_axis ** len(AXES)
+    box = task.x.lower, task.x.upper
     generator = np.random.default_rng([study.samples.seed, _DESIGN_STREAM[design], n])
     if design == "grid":
-        return designs.full_grid(*box, points_per_axis)
+        return designs.full_grid(*box, study.grid_shape(n))
     if design == "chebyshev":
-        return designs.chebyshev_grid(*box, points_per_axis)
+        return designs.chebyshev_grid(*box, study.grid_shape(n))
     if design == "sobol":
-        return designs.sobol(*box, n, generator)
+        return _sobol(task.region, n, generator)
     if design == "latin":
         return designs.latin_hypercube(*box, n, generator)
     if design == "uniform":
-        return _usable(study, chain, n, lambda k: designs.uniform(*box, k, generator))
-    return _usable(study, chain, n, lambda k: _from_joints(study, chain, k, generator))
+        return _usable(task, n, lambda k: designs.uniform(*box, k, generator))
+    return _usable(task, n, lambda k: _from_joints(task, k, generator))
 
 
-def _from_joints(
-    study: Study, chain: SerialChain, n: int, generator: np.random.Generator
-) -> Floats:
-    """Where the tool is at joint values drawn uniformly inside their limits, if in the workspace.
+def _from_joints(task: Task, n: int, generator: np.random.Generator) -> Floats:
+    """Where the tool is at joint values drawn uniformly inside their limits, as inputs.
 
-    Recorded like that the samples are dense where the arm is slow (Duka 2014 samples so). Positions
-    of another branch of the inverse kinematics are labelled on the study's own.
+    Recorded like that the samples are dense where the arm is slow (Duka 2014 samples so). Inputs
+    of another branch of the inverse kinematics are labelled on the study's own. Angles among the
+    inputs are drawn uniformly.
     """
-    joints = chain.lower + (chain.upper - chain.lower) * generator.random((n, chain.n_joints))
-    positions = chain.forward_mm(joints)
-    box = study.workspace
-    inside = np.all((positions >= box.lower_mm) & (positions <= box.upper_mm), axis=-1)
-    return positions[inside]
+    low, high = task.drawing.lower, task.drawing.upper
+    joints = low + (high - low) * generator.random((n, task.drawing.n_joints))
+    positions = task.drawing.forward_mm(joints)[:, list(task.target.positions)]
+    angles = slice(positions.shape[1], len(task.x))
+    turned = designs.uniform(task.x.lower[angles], task.x.upper[angles], n, generator)
+    return np.concatenate([positions, turned], axis=1)
 
 
-def _usable(study: Study, chain: SerialChain, n: int, draw: Callable[[int], Floats]) -> Floats:
-    """The first n drawn positions that the arm can use [mm], shape (n, 3).
+def _usable(task: Task, n: int, draw: Callable[[int], Floats]) -> Floats:
+    """The first n drawn inputs that lie in the region and that the arm can use, shape (n, d).
 
     Raises:
         IksamplesError: Hardly any can be used.
     """
-    found = np.empty((0, len(AXES)))
+    found = np.empty((0, len(task.x)))
     for _ in range(_MAX_DRAWS):
-        points = draw(max(64, 4 * n))
-        found = np.concatenate([found, points[reach(study, chain, points).usable]])
+        x = draw(max(64, 4 * n))
+        x = x[task.region.contains(x)]
+        found = np.concatenate([found, x[task.reach(x).usable]])
         if len(found) >= n:
             return found[:n]
     raise IksamplesError(
@@ -208,48 +203,49 @@ def _usable(study: Study, chain: SerialChain, n: int, draw: Callable[[int], Floa
     )
 
 
-def require_workspace(study: Study, chain: SerialChain) -> None:
+def _sobol(region: Region, n: int, generator: np.random.Generator) -> Floats:
+    """The first n points of a Sobol sequence that lie in a region, shape (n, d)."""
+    box = region.lower_corner, region.upper_corner
+    share = region.volume / float(np.prod(box[1] - box[0]))
+    # More than a share of the sequence falls short of by chance, if any does.
+    laid = n if region.n_boxes == 1 else int(2 * n / share) + 64
+    x = designs.sobol(*box, laid, generator)
+    return x[region.contains(x)][:n]
+
+
+def require_workspace(study: Study, task: Task) -> None:
     """Stops where part of the workspace cannot be used and the study does not mask it.
 
     Raises:
         IksamplesError: Names a point that cannot be used, and why.
     """
     if study.samples.unreachable == "error":
-        box = study.workspace
-        lattice = designs.full_grid(box.lower_mm, box.upper_mm, _LATTICE)
-        reach(study, chain, lattice).require_usable(
+        m = max(2, int(_LATTICE_POINTS ** (1 / len(task.x)) + 1e-9))
+        lattice = designs.full_grid(task.x.lower, task.x.upper, m)
+        task.reach(lattice).require_usable(
             "The workspace", "Move it, or set samples.unreachable: mask."
         )
 
 
-def region_points(study: Study, chain: SerialChain, n: int) -> Floats:
-    """Points spread over the usable part of the workspace, the same for every grid.
+def region_points(region: Region, n: int) -> Floats:
+    """Points spread over a region, the same for every set of samples.
 
     Args:
-        study: The study.
-        chain: Its arm.
-        n: Number of Sobol points in the box; the box's eight corners are added, and points the arm
-            cannot use are left out.
+        region: The region.
+        n: Number of Sobol points. The corners of the box around the region are added, those that
+            lie in it.
 
     Returns:
-        Positions [mm], shape (at most n + 8, 3).
+        Inputs [mm or rad], shape (n to n + 2^d, d).
     """
-    box = study.workspace
-    points = np.concatenate(
-        [
-            designs.full_grid(box.lower_mm, box.upper_mm, 2),
-            designs.sobol(box.lower_mm, box.upper_mm, n, np.random.default_rng(0)),
-        ]
-    )
-    answer = reach(study, chain, points)
-    if study.samples.unreachable == "error":
-        answer.require_usable("The workspace", "Move it, or set samples.unreachable: mask.")
-    return points[answer.usable]
+    corners = designs.full_grid(region.lower_corner, region.upper_corner, 2)
+    spread = _sobol(region, n, np.random.default_rng(0))
+    return np.concatenate([corners[region.contains(corners)], spread])
 
 
-def _normalisation(kind: str, positions_mm: Floats) -> tuple[Floats, Floats]:
-    """Offset and scale [mm] of the inputs' min-max scaling."""
-    low, high = positions_mm.min(axis=0), positions_mm.max(axis=0)
+def _normalisation(kind: str, x: Floats) -> tuple[Floats, Floats]:
+    """Offset and scale [mm or rad] of the inputs' min-max scaling."""
+    low, high = x.min(axis=0), x.max(axis=0)
     if kind == "unit":
         return low, high - low
     if kind == "symmetric":
@@ -257,14 +253,14 @@ def _normalisation(kind: str, positions_mm: Floats) -> tuple[Floats, Floats]:
     return np.zeros_like(low), np.ones_like(low)
 
 
-def _fresh(study: Study, chain: SerialChain, n: int, role: str) -> tuple[Floats, Floats]:
-    """Fresh points for a role: positions [mm] and joint values [rad]."""
+def _fresh(study: Study, task: Task, n: int, role: str) -> tuple[Floats, Floats]:
+    """Fresh points for a role: inputs and joint values."""
     held_out = study.training.held_out
     share = held_out.validation_share if role == "validation" else held_out.test_share
     if held_out.source == "grid" or share == 0:
-        return np.empty((0, 3)), np.empty((0, chain.n_joints))
+        return np.empty((0, len(task.x))), np.empty((0, len(task.q)))
     wanted = max(int(np.ceil(share * n)), held_out.at_least)
     generator = np.random.default_rng([study.samples.seed, _FRESH_STREAM[role], n])
-    box = study.workspace.lower_mm, study.workspace.upper_mm
-    positions = _usable(study, chain, wanted, lambda k: designs.uniform(*box, k, generator))
-    return positions, reach(study, chain, positions).joints
+    box = task.x.lower, task.x.upper
+    x = _usable(task, wanted, lambda k: designs.uniform(*box, k, generator))
+    return x, task.reach(x).joints

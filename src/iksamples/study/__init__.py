@@ -15,8 +15,8 @@ from iksamples.study.evaluation import (
     Tolerance,
 )
 from iksamples.study.reading import parse_study, read_study
-from iksamples.study.robot import Robot, Workspace
-from iksamples.study.samples import DRAWN, Design, Samples
+from iksamples.study.robot import POSITIONS, Asked, Coordinate, Robot, Workspace
+from iksamples.study.samples import DRAWN, TENSOR, Design, Samples
 from iksamples.study.section import Limits, Section, Vector3
 from iksamples.study.study import NETWORK, Study, Tracking
 from iksamples.study.training import EarlyStopping, HeldOut, Method, MethodKind, Network, Training
@@ -25,8 +25,12 @@ from iksamples.study.training import EarlyStopping, HeldOut, Method, MethodKind,
 __all__ = [
     "DRAWN",
     "NETWORK",
+    "POSITIONS",
+    "TENSOR",
+    "Asked",
     "Bounds",
     "Calibration",
+    "Coordinate",
     "Design",
     "DoubleRectangle",
     "EarlyStopping",

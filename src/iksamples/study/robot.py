@@ -1,8 +1,8 @@
-"""The arm, and where it is to work."""
+"""The arm, what is asked of its tool, and where."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, Strict, model_validator
 
 from iksamples.study.section import Limits, Section, Vector3
 
@@ -17,22 +17,76 @@ class Robot(Section):
     tip_link: str | None = Field(
         None, description="Link whose origin is the tool centre point; null: the only end link."
     )
-    inverse: Literal["yaw-pitch-pitch"] = Field(
-        "yaw-pitch-pitch", description="Closed-form inverse kinematics that labels the samples."
+    tool_offset_mm: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="Tool centre point in the tip link's frame [mm]."
+    )
+    inverse: Literal["auto", "yaw-pitch-pitch", "newton"] = Field(
+        "auto",
+        description="Inverse kinematics that labels the samples: a closed form, Newton's method "
+        "continued from the home posture, or the first of the two that fits the arm.",
     )
     elbow: Literal["negative", "positive"] = Field(
-        "negative", description="Branch of the inverse kinematics: sign of the elbow angle."
+        "negative", description="Branch of the closed form: sign of the elbow angle."
     )
+    home_rad: dict[str, float] = Field(
+        {},
+        description="Home posture by joint name [rad]; a joint that is not named stands in the "
+        "middle of its limits. Newton's method stays on the branch of this posture, and a "
+        "redundant arm takes the posture nearest to it.",
+    )
+    home_mm: dict[str, float] = Field({}, description="Likewise for prismatic joints [mm].")
+    locked: list[str] = Field([], description="Joints that stay in the home posture.")
     limits_rad: dict[str, Limits] = Field(
         {}, description="Joint limits [rad] that replace the URDF's, by joint name."
     )
+    limits_mm: dict[str, Limits] = Field({}, description="Likewise for prismatic joints [mm].")
+
+
+Coordinate = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+POSITIONS: tuple[Coordinate, ...] = ("x", "y", "z")
+
+
+class Asked(Section):
+    """What is asked of the tool: the network's inputs, and what becomes of the orientation."""
+
+    inputs: list[Coordinate] = Field(
+        ["x", "y", "z"],
+        min_length=2,
+        max_length=6,
+        description="Coordinates of the tool's pose that the network is given, in this order: "
+        "the position, then angles about the fixed axes, as in a URDF.",
+    )
+    orientation: Literal["free", "axis", "fixed"] = Field(
+        "free",
+        description="Whether the tool may be turned as it comes (free), its z axis must point as "
+        "asked (axis), or it must be turned as asked (fixed).",
+    )
+    reference_rpy_rad: Vector3 | None = Field(
+        None,
+        description="Roll, pitch and yaw of the tool where the angles among the inputs are zero "
+        "[rad]; null: as in the home posture. A tool that points down: [3.14159265, 0, 0].",
+    )
+
+    @property
+    def n_positions(self) -> int:
+        """How many of the inputs are positions; they come first."""
+        return sum(name in POSITIONS for name in self.inputs)
+
+
+Corner = Annotated[tuple[float, ...], Strict(False), Field(max_length=3)]
 
 
 class Workspace(Section):
-    """The box in which the arm is to work."""
+    """The box of inputs in which the arm is to work."""
 
-    lower_mm: Vector3 = Field((20.0, 20.0, 0.0), description="Lower corner of the box [mm].")
-    upper_mm: Vector3 = Field((80.0, 80.0, 60.0), description="Upper corner of the box [mm].")
+    lower_mm: Annotated[Corner, Field(min_length=2)] = Field(
+        (20.0, 20.0, 0.0), description="Lower limits of the positions among the inputs [mm]."
+    )
+    upper_mm: Annotated[Corner, Field(min_length=2)] = Field(
+        (80.0, 80.0, 60.0), description="Upper limits of the positions [mm]."
+    )
+    lower_rad: Corner = Field((), description="Lower limits of the angles among the inputs [rad].")
+    upper_rad: Corner = Field((), description="Upper limits of the angles [rad].")
     min_singular_value_mm: float = Field(
         1.0,
         ge=0,
@@ -42,6 +96,22 @@ class Workspace(Section):
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> "Workspace":
-        if any(low >= high for low, high in zip(self.lower_mm, self.upper_mm, strict=True)):
-            raise ValueError("upper_mm must be greater than lower_mm along every axis")
+        for unit, lower, upper in (
+            ("mm", self.lower_mm, self.upper_mm),
+            ("rad", self.lower_rad, self.upper_rad),
+        ):
+            if len(lower) != len(upper):
+                raise ValueError(f"lower_{unit} and upper_{unit} must have as many numbers")
+            if any(low >= high for low, high in zip(lower, upper, strict=True)):
+                raise ValueError(f"upper_{unit} must be greater than lower_{unit} along every axis")
         return self
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """Lower corner of the box, in the inputs' units."""
+        return (*self.lower_mm, *self.lower_rad)
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """Upper corner of the box, in the inputs' units."""
+        return (*self.upper_mm, *self.upper_rad)

@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from iksamples.study.evaluation import Bounds, Calibration, Evaluation, Tolerance
-from iksamples.study.robot import Robot, Workspace
-from iksamples.study.samples import Samples
+from iksamples.study.robot import Asked, Robot, Workspace
+from iksamples.study.samples import TENSOR, Samples, grid_shape
 from iksamples.study.section import Name, Section, StudyName
 from iksamples.study.training import Method, Network, Training
 
@@ -35,6 +35,7 @@ class Study(Section):
     name: StudyName = Field(description="Name of the study's folders under results/ and reports/.")
     title: str = Field("", max_length=200, description="One line for the head of the report.")
     robot: Robot = Robot()
+    task: Asked = Asked()
     workspace: Workspace = Workspace()
     samples: Samples = Samples()
     network: Network = Network()
@@ -81,8 +82,40 @@ class Study(Section):
         return self
 
     @model_validator(mode="after")
+    def _a_limit_for_each_input(self) -> "Study":
+        n = self.task.n_positions
+        names = {"mm": self.task.inputs[:n], "rad": self.task.inputs[n:]}
+        for unit, limits in (("mm", self.workspace.lower_mm), ("rad", self.workspace.lower_rad)):
+            if len(limits) != len(names[unit]):
+                raise ValueError(
+                    f"'workspace.lower_{unit}' and 'upper_{unit}' should have a number for each of "
+                    f"the inputs ({', '.join(names[unit]) or 'none'}); they have {len(limits)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _grids_differ(self) -> "Study":
+        if not any(design in TENSOR for design in self.samples.designs):
+            return self
+        fewest, seen = 2 ** len(self.task.inputs), dict[tuple[int, ...], int]()
+        for n in self.sizes:
+            if n < fewest:
+                raise ValueError(
+                    f"'samples.sizes': {n} is less than the {fewest} corners of the workspace, the "
+                    "smallest grid"
+                )
+            shape = self.grid_shape(n)
+            if shape in seen:
+                raise ValueError(
+                    f"'samples.sizes': {seen[shape]} and {n} are both nearest to a grid of "
+                    f"{' x '.join(map(str, shape))}; leave one out"
+                )
+            seen[shape] = n
+        return self
+
+    @model_validator(mode="after")
     def _held_out_points_exist(self) -> "Study":
-        fewest = min(self.samples.points_per_axis) ** 3
+        fewest = min(self.sizes)
         for name, method in self.all_methods.items():
             if method.kind != "network":
                 continue
@@ -121,6 +154,19 @@ class Study(Section):
             epochs = -(-training.steps // training.steps_per_epoch(n_samples))
             training = training.model_copy(update={"steps": None, "epochs": epochs})
         return self.model_copy(update={"network": method.network, "training": training})
+
+    @property
+    def sizes(self) -> list[int]:
+        """The sizes to compare, in samples, ascending; a grid may round them."""
+        return self.samples.n_samples(len(self.task.inputs))
+
+    def grid_shape(self, n: int) -> tuple[int, ...]:
+        """Points along each side of the workspace of the grid that is nearest to n samples."""
+        box = self.workspace
+        sides = [high - low for low, high in zip(box.lower, box.upper, strict=True)]
+        # Angles after lengths, with which they cannot be compared.
+        angles = self.task.n_positions
+        return grid_shape(n, [*sides[:angles], *(side * 1e-9 for side in sides[angles:])])
 
     @property
     def seeds(self) -> tuple[int, ...]:

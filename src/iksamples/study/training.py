@@ -1,5 +1,6 @@
 """The networks, how they are trained, and the methods they are compared with."""
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -16,6 +17,10 @@ class Network(Section):
     activation: Literal["relu", "tanh"] = Field(
         "relu", description="Activation of the hidden layers; the output layer is linear."
     )
+
+    def n_parameters(self, n_inputs: int, n_outputs: int) -> int:
+        """Weights and biases of a network of so many inputs and outputs."""
+        return sum((a + 1) * b for a, b in pairwise((n_inputs, *self.hidden, n_outputs)))
 
 
 class EarlyStopping(Section):

@@ -18,7 +18,6 @@ from iksamples.evaluation.errors import CUBE
 from iksamples.paper.table import over_seeds
 from iksamples.recording.colours import RED, Colour, blues
 from iksamples.results import Cell, cells
-from iksamples.samples.dataset import AXES
 from iksamples.study import NETWORK, Study
 
 
@@ -188,7 +187,7 @@ def _grid_run(study: Study, cell: Cell, row: "pd.Series", colour: str) -> RunCon
         metrics += [(f"{path}_{name}", float(means[name][path]), n) for name in _STATISTICS]
     history = cell.table("history")
     metrics += _curves(history[history["seed"].isin(sound)].groupby("epoch", as_index=False).mean())
-    columns = [f"{axis}_mm" for axis in AXES] + [f"q_{name}_rad" for name in samples.joint_names]
+    columns = samples.space.columns() + samples.joint_space.columns("q_")
     note = (
         f"{len(members)} networks trained on {n} samples ({samples.design}, "
         f"{samples.points_per_axis} points per axis); means over these seeds. "

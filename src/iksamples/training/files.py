@@ -27,7 +27,8 @@ def write_files(folder: Path, problem: Problem, samples: SampleSet, record: Reco
     network = final_network(problem, samples, record)
     write_whole(folder / "weights.safetensors", network.save)
     write_whole(
-        folder / "snapshots.safetensors", lambda path: _save_snapshots(path, network, record)
+        folder / "snapshots.safetensors",
+        lambda path: _save_snapshots(path, problem, network, record),
     )
     write_whole(folder / "history.parquet", lambda path: _save_table(path, _history(record)))
     members = _members(problem, samples, record, network)
@@ -37,7 +38,7 @@ def write_files(folder: Path, problem: Problem, samples: SampleSet, record: Reco
 def final_network(problem: Problem, samples: SampleSet, record: Record) -> StackedMLP:
     """The networks a training ended with."""
     return StackedMLP(
-        *unstack(record.parameters, problem.sizes),
+        *unstack(record.parameters, problem.sizes, problem.output_scale),
         problem.activation,
         samples.offset_mm,
         samples.scale_mm,
@@ -45,9 +46,8 @@ def final_network(problem: Problem, samples: SampleSet, record: Record) -> Stack
     )
 
 
-def _save_snapshots(path: Path, network: StackedMLP, record: Record) -> None:
-    sizes = [weight.shape[1] for weight in network.weights] + [network.biases[-1].shape[1]]
-    kernels, biases = unstack(record.snapshots, sizes)
+def _save_snapshots(path: Path, problem: Problem, network: StackedMLP, record: Record) -> None:
+    kernels, biases = unstack(record.snapshots, problem.sizes, problem.output_scale)
     tensors: dict[str, np.ndarray] = {
         "epochs": record.snapshot_epochs,
         "offset_mm": network.offset_mm,
@@ -103,8 +103,11 @@ def _members(
 
 
 def _losses(problem: Problem, samples: SampleSet, network: StackedMLP) -> dict[str, np.ndarray]:
-    """Mean squared error over each seed's points of each kind [rad^2]; NaN without points."""
-    positions = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+    """Mean squared error over each seed's points of each kind [rad^2]; NaN without points.
+
+    A prismatic joint's error counts over its output scale, as in training.
+    """
+    x = np.concatenate([samples.x, samples.validation_x, samples.test_x])
     joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
     kinds = {
         "train": problem.train_rows,
@@ -115,7 +118,8 @@ def _losses(problem: Problem, samples: SampleSet, network: StackedMLP) -> dict[s
     for first in range(0, problem.n_seeds, _SEEDS_AT_ONCE):
         some = np.arange(first, min(first + _SEEDS_AT_ONCE, problem.n_seeds))
         with np.errstate(all="ignore"):  # a diverged seed is a row with NaN, not an error
-            square = np.mean((network.select(some).predict(positions) - joints) ** 2, axis=-1)
+            error = (network.select(some).predict(x) - joints) / problem.output_scale
+            square = np.mean(error**2, axis=-1)
             for kind, rows in kinds.items():
                 if rows.shape[1]:
                     chosen = np.take_along_axis(square, rows[some].astype(np.intp), axis=1)

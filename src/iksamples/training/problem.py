@@ -26,8 +26,9 @@ class Problem:
         seeds: One seed per network.
         sizes: Neurons of each layer, from the inputs to the outputs.
         activation: Activation of the hidden layers.
-        inputs: Normalised positions, shape (points, in).
-        targets: Joint values [rad or mm], shape (points, out).
+        inputs: Normalised inputs, shape (points, in).
+        targets: Joint values over ``output_scale``, shape (points, out).
+        output_scale: What joint values are divided by [1 or mm], powers of two, shape (out,).
         train_rows: Rows a seed learns from, shape (seeds, n_train).
         validation_rows: Rows of its validation loss, shape (seeds, n_validation).
         test_rows: Rows of its test loss, shape (seeds, n_test).
@@ -39,6 +40,7 @@ class Problem:
     activation: str
     inputs: Singles
     targets: Singles
+    output_scale: NDArray[np.float64]
     train_rows: Index
     validation_rows: Index
     test_rows: Index
@@ -68,9 +70,9 @@ class Problem:
 def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Problem:
     """The problem that a study sets for some seeds on one set of samples."""
     n, n_validation, n_test = (
-        len(part) for part in (samples.positions_mm, samples.validation_mm, samples.test_mm)
+        len(part) for part in (samples.x, samples.validation_x, samples.test_x)
     )
-    positions = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+    x = np.concatenate([samples.x, samples.validation_x, samples.test_x])
     joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
     if study.training.held_out.source == "grid":
         train, validation, test = split_grid(seeds, n, study.training.held_out)
@@ -80,10 +82,11 @@ def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Prob
         train, validation, test = np.split(stacked, [n, n + n_validation], axis=1)
     return Problem(
         tuple(seeds),
-        (positions.shape[1], *study.network.hidden, joints.shape[1]),
+        (x.shape[1], *study.network.hidden, joints.shape[1]),
         study.network.activation,
-        samples.normalise(positions).astype(np.float32),
-        joints.astype(np.float32),
+        samples.normalise(x).astype(np.float32),
+        (joints / samples.output_scale).astype(np.float32),
+        samples.output_scale,
         train,
         validation,
         test,

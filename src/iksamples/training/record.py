@@ -99,12 +99,16 @@ class Record:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def unstack(flat: Singles, sizes: Sequence[int]) -> tuple[tuple[Singles, ...], tuple[Singles, ...]]:
-    """Flat parameters as kernels and biases.
+def unstack(
+    flat: Singles, sizes: Sequence[int], output_scale: NDArray[np.float64]
+) -> tuple[tuple[Singles, ...], tuple[Singles, ...]]:
+    """Flat parameters as kernels and biases of networks that answer in the joints' own units.
 
     Args:
         flat: Shape (..., parameters).
         sizes: Neurons of each layer.
+        output_scale: What the outputs were divided by in training, powers of two, shape (out,):
+            the last layer is multiplied by it, which is exact.
 
     Returns:
         Kernels, one per layer, shape (..., in, out), and biases, shape (..., out).
@@ -116,6 +120,8 @@ def unstack(flat: Singles, sizes: Sequence[int]) -> tuple[tuple[Singles, ...], t
         at += fan_in * fan_out
         biases.append(flat[..., at : at + fan_out])
         at += fan_out
+    scale = output_scale.astype(np.float32)
+    kernels[-1], biases[-1] = kernels[-1] * scale, biases[-1] * scale
     return tuple(kernels), tuple(biases)
 
 

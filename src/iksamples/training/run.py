@@ -4,7 +4,6 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ def train(
         cache: Folder of trained seeds; None: keep none.
         progress: Report on stderr: a bar in a terminal, else a line per set.
     """
-    engine = choose_engine(study)
+    engine = choose_engine(study, len(sample_sets[0].joint_space))
     store = Cache(cache)
     keys = [cache_key(study, samples, engine) for samples in sample_sets]
     found = [store.load(key, study.seeds) for key in keys]
@@ -96,12 +95,17 @@ def count_trained(study: Study, samples: SampleSet, cache: Path) -> int:
         samples: What they are trained on.
         cache: The folder ``train`` is given.
     """
-    records = Cache(cache).load(cache_key(study, samples, choose_engine(study)), study.seeds)
+    engine = choose_engine(study, len(samples.joint_space))
+    records = Cache(cache).load(cache_key(study, samples, engine), study.seeds)
     return sum(len(record.seeds) for record in records)
 
 
-def choose_engine(study: Study) -> str:
+def choose_engine(study: Study, n_joints: int) -> str:
     """The engine that trains a study: "fused", "reference" or "levenberg-marquardt".
+
+    Args:
+        study: The study.
+        n_joints: Joints of its arm.
 
     Raises:
         IksamplesError: The study asks for the fused engine and for what that cannot do.
@@ -110,8 +114,6 @@ def choose_engine(study: Study) -> str:
     reason = None
     if study.training.optimizer == "levenberg-marquardt":
         reason = "training.optimizer: levenberg-marquardt"
-    elif study.network.activation not in ("relu", "tanh"):
-        reason = f"network.activation: {study.network.activation}"
     elif device == "gpu" or (device == "auto" and _has_gpu()):
         reason = f"training.accelerator: {device}"
     if reason and asked == "fused":
@@ -120,8 +122,7 @@ def choose_engine(study: Study) -> str:
         )
     if study.training.optimizer == "levenberg-marquardt":
         return "levenberg-marquardt"
-    widths = (3, *study.network.hidden, 3)
-    large = sum(a * b for a, b in pairwise(widths)) > LARGE_NETWORK
+    large = study.network.n_parameters(len(study.task.inputs), n_joints) > LARGE_NETWORK
     if reason or asked == "reference" or (large and asked == "auto"):
         return "reference"
     return "fused"
