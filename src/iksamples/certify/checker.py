@@ -205,4 +205,9 @@ def _bounds(
     spread = up(spread + sum_above(joints.centre.rad[:, :, None] * first.magnitude(), 1)[:, None])
     beyond = arm.beyond(joints.centre.mid, joints, joints.rest())
     size = up(at.magnitude() + spread)
-    return up(norm_above(size * size) + beyond).max(axis=1)
+    largest = up(norm_above(size * size) + beyond).max(axis=1)
+    change = up(joints.straight() + joints.rest())
+    around = Ball(centre.mid, up(centre.rad + half.magnitude()))[:, inputs]
+    reach = arm.farthest(joints.centre.mid, change, around, coordinates)
+    # What overflowed says nothing; the arm's reach may still.
+    return np.fmin(np.where(np.isnan(largest), np.inf, largest), reach)

@@ -56,7 +56,7 @@ class Arm:
             before[s] = (joint, vector - along, [a - b for a, b in zip(slides, slid, strict=True)])
             moved = [a + b for a, b in zip(base_slides, slid, strict=True)]
             before[s - 1] = (upper, base + along, moved)
-        self.segments = [item for item in before if item[0] >= 0]
+        self.base, self.segments = before[0], before[1:]
 
         # Runs of (nearly) parallel axes: sign of each joint in its run, and how far off it is.
         self.run, self.sign, self.off = [-1] * self.n, np.zeros(self.n), np.zeros(self.n)
@@ -185,6 +185,28 @@ class Arm:
             cube = up(whole * whole * whole + 4.0 * off * wide * wide * wide)
             total = up(total + u * cube / 6.0)
             total = up(total + 0.5 * up(g + g_rest) * up(whole * whole + 3.0 * off * wide * wide))
+        return total
+
+    def farthest(self, joints: Floats, change: Floats, around: Ball, rows: list[int]) -> Floats:
+        """How far the tip can be from some positions, whatever the joints that turn.
+
+        What no joint turns is in one place, and the rest no farther from it than it is long.
+
+        Args:
+            joints: The joints that slide are near these [mm], shape (leaves, joints).
+            change: By at most this [mm], shape (leaves, joints).
+            around: The positions [mm], shape (leaves, coordinates), as wide as the leaves are.
+            rows: Which coordinates these are.
+        """
+        total = np.zeros(len(joints))
+        for index, (_, vector, slides) in enumerate([self.base, *self.segments]):
+            held = vector + Ball.of(np.zeros((len(joints), 3)))
+            for k in (k for k in range(self.n) if not self.turns[k]):
+                held = held + Ball.of(joints[:, k, None]) * slides[k]
+                total = up(total + up(change[:, k] * norm_above(slides[k].magnitude() ** 2)))
+            if index == 0:
+                held = held[:, rows] - around
+            total = up(total + norm_above(held.magnitude() ** 2))
         return total
 
     def _run_rest(self, terms: Terms, weights: Floats, joints_rest: Floats) -> Floats:

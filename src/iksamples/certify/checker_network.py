@@ -69,11 +69,11 @@ class Network:
         for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             hidden = hidden @ weight + bias
             if depth + 1 < len(self.weights):
-                hidden = (
-                    hidden.tanh()
-                    if self.activation == "tanh"
-                    else Ball(np.maximum(hidden.mid, 0.0), hidden.rad)
-                )
+                if self.activation == "tanh":
+                    hidden = hidden.tanh()
+                else:
+                    shut = hidden.upper() <= 0
+                    hidden = Ball(np.maximum(hidden.mid, 0.0), np.where(shut, 0.0, hidden.rad))
         return hidden
 
 

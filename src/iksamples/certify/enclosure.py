@@ -13,8 +13,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _TINY = float(np.finfo(float).tiny)
-_NOTHING = 1e-30
-"""Noise below this drowns in the rounding slack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +137,13 @@ def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
     below = np.minimum(rows[:, 0] - straight - other, 0.0)
     above = np.maximum(rows[:, 0] + straight + other, 0.0)
     slope = above / np.maximum(above - below, _TINY)
-    half = -0.5 * slope * below
+    # Both are -l u / (2 (u - l)) but for rounding, and for a slope that underflows.
+    half = 0.5 * np.maximum(-slope * below, (1.0 - slope) * above)
 
-    # Only neurons that change sign somewhere in a box make noise: gather them.
-    open_ones = half > _NOTHING
+    # Only neurons that change sign somewhere in a box make noise: gather them. None is too small to
+    # count, since the next weights may be of any size.
+    open_ones = (below < 0) & (above > 0)
+    half = np.where(open_ones, np.maximum(half, _TINY), 0.0)
     most = int(open_ones.sum(axis=1).max(initial=0))
     part = np.argsort(~open_ones, axis=1, kind="stable")[:, :most]
     known = np.take_along_axis(rows[:, : split[0]], part[:, None], axis=2)
@@ -151,7 +152,7 @@ def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
     )
     # At a corner: (1 - a) (z + other) and -a (z - other), over w.
     own_open = np.take_along_axis(open_ones, part, axis=1)
-    scale = np.where(own_open, 0.5 / np.maximum(own_half, _NOTHING), 0.0)
+    scale = np.where(own_open, 0.5 / np.maximum(own_half, _TINY), 0.0)
     known[:, 0] += own_other
     reach = _with_constant(split[0] - 1) @ (known * (scale * (1.0 - own_slope))[:, None])
     known[:, 0] -= 2.0 * own_other

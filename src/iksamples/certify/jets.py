@@ -109,7 +109,7 @@ class Linkage:
         """Length of each turned vector [mm], shape (batch or 1, moved)."""
         if not self.slides_at_all:
             return np.linalg.norm(self.vectors_mm[self.moved], axis=-1)[None]
-        return np.linalg.norm(self._vectors(joints)[:, self.moved], axis=-1)
+        return np.linalg.norm(self.vectors_at(joints)[:, self.moved], axis=-1)
 
     def turns(self, change: Floats) -> Floats:
         """Angle by which each turned vector is turned at most [rad], shape (..., moved).
@@ -128,19 +128,33 @@ class Linkage:
         return change @ np.linalg.norm(self.slides[self.moved], axis=-1).T
 
     def levers_mm(self, joint_ranges: Floats) -> Floats:
-        """How far the tip can move per unit of each joint [mm/rad, or 1], shape (joints,).
+        """How far the tip can move per unit of each joint [mm/rad, or 1], shape (..., joints).
 
         Args:
-            joint_ranges: Largest absolute value of each joint [rad or mm], shape (joints,).
+            joint_ranges: Largest absolute value of each joint [rad or mm], shape (..., joints).
         """
-        lengths = np.linalg.norm(self.vectors_mm, axis=-1)
-        lengths = lengths + np.linalg.norm(self.slides, axis=-1) @ joint_ranges
-        behind = np.cumsum(lengths[::-1])[::-1][1:]
+        lengths = self._longest_mm(joint_ranges)
+        behind = np.cumsum(lengths[..., ::-1], axis=-1)[..., ::-1][..., 1:]
         return np.where(self.revolute, behind, 1.0)
+
+    def reach_mm(self, joint_ranges: Floats) -> Floats:
+        """How far the tip can be from the base's origin [mm], shape (...).
+
+        Args:
+            joint_ranges: Largest absolute value of each joint [rad or mm], shape (..., joints).
+        """
+        return self._longest_mm(joint_ranges).sum(axis=-1)
+
+    def _longest_mm(self, joint_ranges: Floats) -> Floats:
+        """Length of each vector at most [mm], shape (..., joints + 1)."""
+        slid = np.linalg.norm(self.slides, axis=-1)
+        # A joint that does not slide shifts nothing, whatever its value.
+        shifts = np.where(slid > 0, np.asarray(joint_ranges)[..., None, :] * slid, 0.0)
+        return np.linalg.norm(self.vectors_mm, axis=-1) + shifts.sum(axis=-1)
 
     def position_mm(self, joints: Floats) -> Floats:
         """Position of the tip [mm], shape (batch, 3), for joints of shape (batch, joints)."""
-        vectors = np.broadcast_to(self._vectors(joints), (len(joints), self.n_joints + 1, 3))
+        vectors = np.broadcast_to(self.vectors_at(joints), (len(joints), self.n_joints + 1, 3))
         sines, cosines = np.sin(joints), np.cos(joints)
         arm = np.array(vectors[:, -1])
         for i in reversed(range(self.n_joints)):
@@ -173,7 +187,7 @@ class Linkage:
         """
         batch, n = joints.shape
         rotation = np.tile(np.eye(3), (batch, 1))
-        vectors = self._vectors(joints)
+        vectors = self.vectors_at(joints)
         directions, turned = np.empty((3, batch, n)), np.empty((3, batch, n + 1))
         turned[:, :, 0] = vectors[:, 0].T
         sines = np.repeat(np.sin(joints), 3, axis=0)
@@ -205,7 +219,7 @@ class Linkage:
         hessian *= np.triu(np.ones((n, n))) - 0.5 * np.eye(n)
         return arms[:, :, 0], jacobian, hessian
 
-    def _vectors(self, joints: Floats) -> Floats:
+    def vectors_at(self, joints: Floats) -> Floats:
         """Every ``u_s`` in the given pose, shape (batch or 1, joints + 1, 3)."""
         if not self.slides_at_all:
             return self.vectors_mm[None]

@@ -1,6 +1,6 @@
 """The networks to certify, checked and in float64."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """Networks of one shape in float64, checked.
+    """Networks of one shape in float64, checked, and scaled so that no size is extreme.
 
     Attributes:
         weights: One array per layer, shape (networks, in, out).
@@ -71,7 +71,34 @@ class Layers:
             and (layers.scale_mm != 0).all()
         ):
             raise IksamplesError("the network's normalisation (offset_mm, scale_mm) is not finite.")
-        return layers
+        return layers._balanced() if layers.activation == "relu" else layers
+
+    def _balanced(self) -> "Layers":
+        """The same function with the largest number into each ReLU neuron between 1/2 and 1.
+
+        What is taken off is put on behind the neuron: max(0, z) = 2^e max(0, 2^-e z). Powers of two
+        change no digit; a neuron of which they would (numbers so small that they vanish) stays.
+        """
+        weights, biases = list(self.weights), list(self.biases)
+        for depth in range(len(weights) - 1):
+            into, bias, out = weights[depth], biases[depth], weights[depth + 1]
+            size = np.maximum(np.abs(into).max(axis=1), np.abs(bias))
+            power = np.frexp(size)[1]
+            for _ in range(2):
+                with np.errstate(over="ignore", under="ignore"):
+                    scaled = (
+                        np.ldexp(into, -power[:, None]),
+                        np.ldexp(bias, -power),
+                        np.ldexp(out, power[:, :, None]),
+                    )
+                    same = (
+                        (np.ldexp(scaled[0], power[:, None]) == into).all(axis=1)
+                        & (np.ldexp(scaled[1], power) == bias)
+                        & (np.ldexp(scaled[2], -power[:, :, None]) == out).all(axis=2)
+                    )
+                power = np.where(same, power, 0)
+            weights[depth], biases[depth], weights[depth + 1] = scaled
+        return replace(self, weights=tuple(weights), biases=tuple(biases))
 
     @property
     def n_networks(self) -> int:

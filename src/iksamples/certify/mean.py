@@ -113,7 +113,7 @@ def certify_mean(
         least = float(volume @ low) - float(errors.slack_mm[0])
         most = float(volume @ high) + float(errors.slack_mm[0])
         allowed = max(rtol * (least + most), 2 * atol_mm)
-        done = most - least <= allowed
+        done = np.isfinite(most) and most - least <= allowed
         if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
             return MeanError(
                 max(least, 0.0), most, cells.bounded, time.perf_counter() - began, done
@@ -233,7 +233,10 @@ class _Cells:
             centre = self.region.lower[at] + size * (low + 0.5 * edge)
             which = np.zeros(len(low), int)
             residual = self.errors.residual(which, centre, 0.5 * size * edge)
-            parts.append((*bound(residual), _weight(residual)))
+            with np.errstate(all="ignore"):
+                weight = _weight(residual)
+                known = np.isfinite(weight).all(axis=1, keepdims=True)
+                parts.append((*bound(residual), np.where(known, weight, edge)))
         self.bounded += self.new
         low_bound, high_bound, weight = (
             np.concatenate(column) for column in zip(*parts, strict=True)
@@ -342,7 +345,7 @@ def _mean_of_cells(residual: Residual) -> tuple[Floats, Floats]:
     above = np.minimum(above, np.sqrt(cut.mean**2 + cut.variance + cut.across))
     part = cut.across / np.maximum(cut.across_max, np.finfo(float).tiny)
     below = cut.mean + _bulge(cut.mean + reach, cut.across_max) * np.minimum(part, 1.0)
-    return np.maximum(below - cut.mean_blur, 0.0), above + cut.mean_blur
+    return np.fmax(below - cut.mean_blur, 0.0), np.fmin(above + cut.mean_blur, residual.most_mm)
 
 
 def _share_of_cells(
@@ -360,7 +363,7 @@ def _share_of_cells(
     room = tolerance_mm - cut.mean
     below = _share_under_plane(cut.slope, room - cut.bend - bulge - blur, -1.0)
     above = _share_under_plane(cut.slope, room + cut.bend + blur, 1.0)
-    good = residual.largest()[0] + slack_mm <= tolerance_mm
+    good = np.fmin(residual.largest()[0] + slack_mm, residual.most_mm) <= tolerance_mm
     return np.where(good, 1.0, below), np.where(good, 1.0, above)
 
 
@@ -396,4 +399,5 @@ def _share_under_plane(slope: Floats, room: Floats, side: float) -> Floats:
     volume = np.maximum((room + total)[:, None] - 2.0 * steep @ at.T, 0.0) ** k @ sign
     share = volume / (np.prod(2.0 * steep, axis=1) * float(np.prod(np.arange(1, k + 1))))
     share = np.where(room >= total, 1.0, np.where(room <= -total, 0.0, share + side * _SHARE_SLACK))
-    return np.clip(share, 0.0, 1.0)
+    # Where something overflowed nothing is known of the share.
+    return np.clip(np.where(np.isnan(share), 0.5 + 0.5 * side, share), 0.0, 1.0)

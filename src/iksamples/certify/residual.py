@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.enclosure import (
+    Expansion,
     corners,
     expand,
     half_of_corners,
@@ -20,7 +21,7 @@ from iksamples.certify.enclosure import (
 )
 from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
 from iksamples.certify.layers import Layers
-from iksamples.certify.rounding import FLOAT64, rounding_slack_mm
+from iksamples.certify.rounding import search_slack_mm
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -87,6 +88,7 @@ class Residual:
         one_sided: Whether the symbols lean to one side.
         remainder_mm: Norm of the remainder at the corners of the box, convex in s, shape
             (boxes, corners).
+        most_mm: No residual over a box is larger, by the arm's reach alone, shape (boxes,).
         weight_mm: How much is lost to the extent of the box along each axis, roughly; says which
             axis is worth splitting, shape (boxes, d).
     """
@@ -98,6 +100,7 @@ class Residual:
     reach: Floats
     one_sided: bool
     remainder_mm: Floats
+    most_mm: Floats
     weight_mm: Floats
 
     def largest(self, targets_mm: Floats | None = None) -> tuple[Floats, Ints]:
@@ -127,6 +130,7 @@ class Residual:
             at_corners -= targets_mm
         reach = reach + np.abs(at_corners)
         upper = np.sqrt(np.einsum("bvk,bvk->bv", reach, reach)) + self.remainder_mm
+        upper = np.where(np.isnan(upper), np.inf, upper)  # what overflowed says nothing
         worst = upper.argmax(axis=1)
         return upper[np.arange(len(upper)), worst], worst
 
@@ -168,19 +172,22 @@ class ErrorOverBoxes:
                 f"{self.linkage.n_joints} joints."
             )
         self.compare.check(self.layers.n_inputs)
-        self.slack_mm = _SLACK * rounding_slack_mm(self.layers, self.linkage, region, FLOAT64)
+        self.slack_mm = _SLACK * search_slack_mm(self.layers, self.linkage, region)
 
     @property
     def n_networks(self) -> int:
         """Number of stacked networks."""
         return self.layers.n_networks
 
+    @np.errstate(all="ignore")
     def values(self, which: Ints, points_mm: Floats) -> Floats:
         """Errors [mm] at single points, shape (points,)."""
         reached = self.linkage.position_mm(self.layers.predict(points_mm, which))
         miss = reached[:, self.compare.coordinates] - points_mm[:, self.compare.inputs]
-        return np.sqrt(np.einsum("pk,pk->p", miss, miss))
+        values = np.sqrt(np.einsum("pk,pk->p", miss, miss))
+        return np.where(np.isfinite(values), values, 0.0)  # what overflows shows nothing
 
+    @np.errstate(all="ignore")
     def upper_bounds(
         self, which: Ints, centre_mm: Floats, radius_mm: Floats
     ) -> tuple[Floats, Floats, Floats]:
@@ -206,11 +213,13 @@ class ErrorOverBoxes:
         for first in range(0, len(which), step):
             some = slice(first, first + step)
             residual = self.residual(which[some], centre_mm[some], radius_mm[some])
-            upper[some], worst[some] = residual.largest()
+            largest, worst[some] = residual.largest()
+            upper[some] = np.fmin(largest + self.slack_mm[which[some]], residual.most_mm)
             weight[some] = residual.weight_mm
         corner = centre_mm + corners(centre_mm.shape[1])[worst] * radius_mm
-        return upper + self.slack_mm[which], corner[:, None], weight
+        return upper, corner[:, None], weight
 
+    @np.errstate(all="ignore")
     def residual(
         self, which: Ints, centre_mm: Floats, radius_mm: Floats, minus_identity: bool = True
     ) -> Residual:
@@ -270,8 +279,29 @@ class ErrorOverBoxes:
             joints.reach,
             joints.one_sided,
             mirrored(remainder),
+            self._most_mm(joints, which, centre_mm, radius_mm),
             weight,
         )
+
+    def _most_mm(
+        self, joints: Expansion, which: Ints, centre_mm: Floats, radius_mm: Floats
+    ) -> Floats:
+        """How far the tip can be from the inputs whatever the network answers, shape (boxes,).
+
+        What no joint turns is in one place, the rest no farther from there than it is long; only
+        where joints slide it matters by how much.
+        """
+        inputs, linkage = list(self.compare.inputs), self.linkage
+        vectors = linkage.vectors_at(joints.centre)
+        fixed = vectors[:, 0, list(self.compare.coordinates)]
+        apart = np.abs(fixed - centre_mm[:, inputs]) + np.abs(radius_mm[:, inputs])
+        most = np.sqrt(np.einsum("bk,bk->b", apart, apart))
+        most += np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
+        if linkage.slides_at_all:
+            change = np.abs(joints.linear).sum(axis=1) + _largest(joints.quadratic, joints.noise)
+            most += change @ np.linalg.norm(linkage.slides, axis=2).sum(axis=0)
+            most += self.slack_mm[which]
+        return np.where(np.isnan(most), np.inf, most * (1.0 + 1e-12))
 
     def _blame(
         self, linear: Floats, lengths_mm: Floats, remainder_mm: Floats, radius_mm: Floats

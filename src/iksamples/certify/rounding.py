@@ -1,4 +1,6 @@
-"""What rounding can do to the tip, bounded in advance."""
+"""What rounding can do to the tip, bounded in advance: a running error analysis over boxes."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +13,30 @@ from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
-FLOAT64 = 2.0**-53
-FLOAT32 = 2.0**-24
+_BOXES = 512
+"""Boxes that a region is cut into, about, for the bound of what single precision does."""
+_BATCH = 1024
+
+
+@dataclass(frozen=True)
+class Format:
+    """A floating-point format of IEEE 754.
+
+    Attributes:
+        unit: Half the distance from 1 to the next number.
+        tiny: Distance of the smallest numbers from each other.
+        largest: The largest number.
+    """
+
+    unit: float
+    tiny: float
+    largest: float
+
+
+FLOAT32 = Format(2.0**-24, 2.0**-149, float(np.finfo(np.float32).max))
+FLOAT64 = Format(2.0**-53, 2.0**-1074, float(np.finfo(np.float64).max))
 
 
 def inference_slack_mm(network: StackedMLP, chain: SerialChain, region: Region) -> Floats:
@@ -25,53 +48,170 @@ def inference_slack_mm(network: StackedMLP, chain: SerialChain, region: Region) 
         region: The inputs that it is about.
 
     Returns:
-        One bound per network [mm], shape (networks,).
+        One bound per network [mm], shape (networks,); infinite where the format overflows.
     """
-    return rounding_slack_mm(Layers.of(network), Linkage.of(chain), region, FLOAT32)
+    layers, linkage = Layers.of(network), Linkage.of(chain)
+    n, d = region.lower.shape
+    per_axis = max(1, int((_BOXES / n) ** (1.0 / d) + 1e-9))
+    share = (np.indices((per_axis,) * d).reshape(d, -1).T + 0.5) / per_axis
+    size = region.upper - region.lower
+    centre = (region.lower[:, None] + size[:, None] * share).reshape(-1, d)
+    radius = np.repeat(size * (0.5 / per_axis), len(share), axis=0)
+    # Centre and radius are rounded themselves.
+    radius = radius * (1.0 + 1e-9) + 1e-12 * np.abs(centre)
+    slack = np.zeros(layers.n_networks)
+    for row in range(layers.n_networks):
+        for first in range(0, len(centre), _BATCH):
+            some = slice(first, first + _BATCH)
+            which = np.full(len(centre[some]), row)
+            bounds = rounding_mm(layers, linkage, which, centre[some], radius[some], FLOAT32)
+            slack[row] = max(slack[row], float(bounds.max()))
+    return slack
 
 
-def rounding_slack_mm(layers: Layers, linkage: Linkage, region: Region, unit: float) -> Floats:
-    """A-priori bound of what rounding does to the tip when the network is evaluated plainly.
-
-    Standard model: every operation is exact but for a relative error of ``unit``; a sum of k terms
-    in any order is off by at most ``k unit / (1 - k unit)`` times the sum of absolute values
-    (Higham, *Accuracy and Stability of Numerical Algorithms*, ch. 3). Inputs, offset and scale are
-    rounded to the format first. tanh is taken to be right to four roundings.
+def search_slack_mm(layers: Layers, linkage: Linkage, region: Region) -> Floats:
+    """What rounding does where the search evaluates networks and arm in float64, shape (networks,).
 
     Args:
         layers: The networks.
-        linkage: The arm, evaluated in float64.
+        linkage: The arm.
         region: The inputs that it is about.
-        unit: Half the distance from 1 to the next number: 2^-24 for float32, 2^-53 for float64.
+    """
+    lower, upper = region.lower_corner, region.upper_corner
+    n = layers.n_networks
+    centre, radius = np.tile(0.5 * (lower + upper), (n, 1)), np.tile(0.5 * (upper - lower), (n, 1))
+    return rounding_mm(layers, linkage, np.arange(n), centre, radius, FLOAT64, arm_too=True)
+
+
+def rounding_mm(
+    layers: Layers,
+    linkage: Linkage,
+    which: Ints,
+    centre: Floats,
+    radius: Floats,
+    form: Format,
+    *,
+    arm_too: bool = False,
+) -> Floats:
+    """Bounds over boxes how far the tip is off where the networks' answers are computed plainly.
+
+    Standard model (Higham, *Accuracy and Stability of Numerical Algorithms*, ch. 2 and 3): an
+    operation is exact but for a relative error of ``unit`` and, where it underflows, an absolute
+    one of ``tiny``; a sum of k products in any order is off by at most ``k unit / (1 - k unit)``
+    times the sum of absolute values. Inputs, offset and scale are rounded to the format first, tanh
+    is right to four roundings.
+
+    Each layer's own error d reaches the tip by the rest of the network and the arm, whose slope
+    over the box is known to within a ball: ``|G d| <= |C| |d| + R |d|``. This is far less than the
+    product of all absolute values, since the weights' signs and the arm's directions are kept.
+
+    Args:
+        layers: The networks.
+        linkage: The arm.
+        which: The network that each box is for, shape (boxes,).
+        centre: Centres, shape (boxes, d).
+        radius: Half edges, shape (boxes, d).
+        form: The format.
+        arm_too: Whether the forward kinematics is computed in the format, too.
 
     Returns:
-        One bound per network [mm], shape (networks,).
+        Bounds [mm], shape (boxes,); infinite where something may overflow.
     """
-    lower_mm, upper_mm = region.lower_corner, region.upper_corner
-    ends = np.maximum(np.abs(lower_mm), np.abs(upper_mm))
-    offset, scale = np.abs(layers.offset_mm), np.abs(layers.scale_mm)
-    # Three rounded inputs, a difference and a quotient; 1 + 8 unit covers products of roundings.
-    size = np.maximum(np.abs(lower_mm - layers.offset_mm), np.abs(upper_mm - layers.offset_mm))
-    error = unit * (1 + 8 * unit) * (ends + offset + 4.0 * size) / scale
-    value = size / scale
-    values = np.broadcast_to(value, (layers.n_networks, 1, len(value)))
-    errors = np.broadcast_to(error, values.shape)
-    for depth, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
-        terms = weight.shape[1] + 2
-        gamma = terms * unit / (1.0 - terms * unit)
-        absolute = np.abs(weight)
-        values = values @ absolute + np.abs(bias)[:, None]
-        errors = (errors @ absolute) * (1.0 + gamma) + gamma * values
-        if depth < len(layers.weights) - 1 and layers.activation == "tanh":
-            values = np.minimum(values, 1.0)
-            errors = errors + 4.0 * unit
-    ranges, errors = values[:, 0], errors[:, 0]
-    slack = np.empty(layers.n_networks)
-    for row in range(layers.n_networks):
-        levers = linkage.levers_mm(ranges[row] + errors[row])
-        arithmetic = 32.0 * linkage.n_joints * FLOAT64
-        tip = np.linalg.norm(linkage.vectors_mm[0]) + levers @ np.where(
-            linkage.revolute, 1.0, ranges[row]
-        )
-        slack[row] = levers @ errors[row] + arithmetic * (tip + np.abs(ends).max())
-    return slack
+    with np.errstate(all="ignore"):  # what overflows is infinite in the end
+        ends, offset, scale = np.abs(centre) + radius, layers.offset_mm, np.abs(layers.scale_mm)
+        size = np.abs(centre - offset) + radius
+        # Three rounded inputs, a difference, a quotient; 1 + 8 unit covers products of roundings.
+        error = form.unit * (1 + 8 * form.unit) * (ends + np.abs(offset) + 4.0 * size) / scale
+        error = error + 4.0 * form.tiny * (1.0 + 1.0 / scale)
+        middle, half = (centre - offset) / layers.scale_mm, radius / scale
+        own, slopes, largest = [error], [], np.zeros(len(which))
+        for depth in range(len(layers.weights)):
+            weight, bias = layers.weight(depth, which), layers.bias(depth, which)
+            absolute = np.abs(weight)
+            terms = weight.shape[1] + 2
+            gamma = terms * form.unit / (1.0 - terms * form.unit)
+            top = np.abs(middle) + half + error
+            sums = _times(top, absolute) + np.abs(bias)
+            fresh = gamma * sums + terms * form.tiny
+            if depth and layers.activation == "tanh":
+                fresh = fresh + 4.0 * form.unit * _times(top, absolute)
+            own.append(fresh)
+            error = _times(error, absolute) + fresh
+            largest = np.maximum(largest, (sums + error).max(axis=1))
+            middle, half = _times(middle, weight) + bias, _times(half, absolute)
+            if depth < len(layers.weights) - 1:
+                # Twice the error, since the range itself is computed.
+                slope, spread, middle, half = _bend(layers.activation, middle, half, 2.0 * error)
+                error = error * (slope + spread)
+                slopes.append((slope, spread))
+
+        along, beside = _arm_slope(linkage, middle, half + error)
+        ranges = np.abs(middle) + half + error
+        total, simply = np.zeros(len(which)), np.sum(linkage.levers_mm(ranges) * error, axis=1)
+        for depth in reversed(range(len(layers.weights) + 1)):
+            part = np.einsum("bi,bik->bk", own[depth], np.abs(along))
+            total += np.sqrt(np.einsum("bk,bk->b", part, part)) + np.sum(
+                beside * own[depth], axis=1
+            )
+            if depth == 0:
+                break
+            weight = layers.weight(depth - 1, which)
+            along, beside = weight @ along, (np.abs(weight) @ beside[:, :, None])[:, :, 0]
+            if depth > 1:
+                slope, spread = slopes[depth - 2]
+                length = np.sqrt(np.einsum("bik,bik->bi", along, along))
+                beside = spread * length + (slope + spread) * beside
+                along = slope[:, :, None] * along
+        total = np.fmin(total, simply) * (1.0 + 1e-9)
+        if arm_too:
+            size = linkage.reach_mm(ranges) + ends.max(axis=1)
+            total += 32.0 * linkage.n_joints * form.unit * size
+        return np.where((largest < form.largest) & np.isfinite(total), total, np.inf)
+
+
+def _times(rows: Floats, weight: Floats) -> Floats:
+    """Rows (boxes, in) times weights of shape (boxes or 1, in, out)."""
+    return rows @ weight[0] if len(weight) == 1 else (rows[:, None] @ weight)[:, 0]
+
+
+def _bend(
+    activation: str, middle: Floats, half: Floats, error: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """An activation's slope over ranges, as middle and half width, and its values, likewise."""
+    low, high = middle - half - error, middle + half + error
+    if activation == "relu":
+        steepest, flattest = (high > 0).astype(float), (low >= 0).astype(float)
+        low, high = np.maximum(low, 0.0), np.maximum(high, 0.0)
+    else:
+        near = np.where((low <= 0) & (high >= 0), 0.0, np.minimum(np.abs(low), np.abs(high)))
+        steepest = 1.0 - np.tanh(near) ** 2
+        flattest = 1.0 - np.tanh(np.maximum(np.abs(low), np.abs(high))) ** 2
+        low, high = np.tanh(low), np.tanh(high)
+    slope, spread = 0.5 * (steepest + flattest), 0.5 * (steepest - flattest)
+    return slope, spread, 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _arm_slope(linkage: Linkage, joints: Floats, change: Floats) -> tuple[Floats, Floats]:
+    """The arm's Jacobian over boxes of joint values: rows within balls.
+
+    Args:
+        linkage: The arm.
+        joints: Middles [rad or mm], shape (boxes, joints).
+        change: Half widths, likewise.
+
+    Returns:
+        Centres, shape (boxes, joints, 3); radii, shape (boxes, joints).
+    """
+    levers = linkage.levers_mm(np.abs(joints) + change)
+    turns, n = linkage.revolute, linkage.n_joints
+    # |d^2 p / dq_i dq_j|: what is behind both, of two revolute joints; one where a joint slides
+    # behind one that turns; else nothing.
+    later = np.maximum(np.arange(n)[:, None], np.arange(n))
+    both = turns[:, None] & turns
+    slid = np.triu(turns[:, None] & ~turns, 1)
+    bends = np.where(both, levers[:, later], (slid | slid.T).astype(float))
+    radius = (bends @ change[:, :, None])[:, :, 0]
+    _, jacobian, _ = linkage.jets(joints)
+    wide = ~(radius < levers)
+    centre = np.where(wide[:, :, None], 0.0, jacobian.transpose(1, 2, 0))
+    return centre, np.where(wide, levers, radius)

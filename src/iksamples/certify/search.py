@@ -26,6 +26,9 @@ _FILL = 96
 """While fewer boxes than this are left, each is split along several axes at once."""
 _STARTS, _STEPS = 8, 12
 """Points that a large round improves, and steps of each."""
+_FINE = 1e-6
+"""Rounding that no tolerance is too fine for, in the objective's unit."""
+_NO_BOUND = float(np.finfo(float).max)
 _SMALLEST = 2.0**-48
 """Edges, as a share of the region's, are not halved below this; they stay exact in float64."""
 
@@ -76,7 +79,7 @@ class Certificate:
 
     Attributes:
         lower: A value that is taken, at ``argmax``, in the objective's unit.
-        upper: No value over the region is larger.
+        upper: No value over the region is larger; infinite where the search knows no bound.
         argmax: Where the largest known value is, shape (d,).
         boxes: Boxes bounded.
         seconds: Time spent; a share of it where several networks were searched together.
@@ -241,25 +244,30 @@ def maximise(
         boxes += np.bincount(w, minlength=n)
         _try(objective, best, argmax, w, at, bound, centre, candidate, len(now) >= _BATCH)
 
+        # Where an enclosure overflowed, the longest edge is as good as any.
+        weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, ed)
         done = bound <= np.maximum((1.0 + rtol) * best, best + 2.0 * slack)[w]
         _keep(kept, settled, keep_leaves, w, at, lo, ed, bound, done)
         of, lo, ed = _split(lo[~done], ed[~done], weight[~done], int(wait.sum()))
         w, at, bound = w[~done][of], at[~done][of], bound[~done][of]
         which, part = np.concatenate([which[wait], w]), np.concatenate([part[wait], at])
         low, edge = np.concatenate([low[wait], lo]), np.concatenate([edge[wait], ed])
-        hopes = np.concatenate([hopes[wait], bound])
+        # Only what is not bounded yet has no finite hope.
+        hopes = np.concatenate([hopes[wait], np.minimum(bound, _NO_BOUND)])
 
     seconds = (time.perf_counter() - began) / n
     threshold = np.maximum((1.0 + rtol) * best, best + 2.0 * slack)
+    # Bounds that meet within more rounding than this have not met.
+    fine = np.maximum(rtol * best, _FINE)
     leaves = _gather(kept, n) if keep_leaves else [None] * n
     return [
         Certificate(
             float(max(best[row] - slack[row], 0.0)),
-            float(max(settled[row], best[row])),
+            float(max(settled[row], best[row])) if settled[row] < _NO_BOUND else np.inf,
             argmax[row],
             int(boxes[row]),
             seconds,
-            bool(settled[row] <= threshold[row]),
+            bool(settled[row] <= min(threshold[row], _NO_BOUND) and slack[row] <= fine[row]),
             leaves[row],
         )
         for row in range(n)
