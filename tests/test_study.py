@@ -26,6 +26,8 @@ BAD = [
         "the name 'On Demand' under 'methods' should be lower-case letters, digits and -, the",
     ),
     ({"name": "x", "methods": {"m" * 300: {}}}, "should have at most 60 characters"),
+    ({"name": "x", "methods": {"m" * 25: {}}}, "should not repeat the same letters 20 times"),
+    ({"name": "x", "tracking": ["http://me:hush@h"]}, 'keys uri (found ["http://me:***@h"])'),
     ({"name": "x", "methods": {"cache": {}}}, "'cache' is another folder of the results"),
     ({"name": "x", "robot": {"limits_rad": {1: [-1, 1]}}}, "key 1 under 'robot.limits_rad' is no"),
     ({"name": "x", "training": {"seeds": True}}, "'training.seeds' should be a valid integer"),
@@ -260,6 +262,26 @@ def test_digest_follows_the_settings_that_numbers_depend_on():
         ({"tolerance": {"error_mm": 3}}, False),
     ):
         assert (parse_study({**settings, **change}).digest() == study.digest()) is same
+
+
+@pytest.mark.parametrize(
+    ("uri", "kept"),
+    [
+        ("http://me:hush@host:5000/a?b=1", "http://me:***@host:5000/a?b=1"),
+        ("postgresql+psycopg2://me:hu/sh@en@host/db", "postgresql+psycopg2://me:***@host/db"),
+        ("http://me:hush@[::1", "http://me:***@[::1"),
+        ("mssql://host/db?user=me&Password=hush&x=1", "mssql://host/db?user=me&Password=***&x=1"),
+        ("http://host/?api_key=hush", "http://host/?api_key=***"),
+        ("http://me@host:5000", "http://me@host:5000"),
+        ("sqlite:///mlflow.db", "sqlite:///mlflow.db"),
+        (None, None),
+    ],
+)
+def test_a_password_is_used_and_not_kept(uri, kept):
+    study = parse_study({"name": "x", "tracking": {"uri": uri}})
+    assert study.tracking.uri == uri
+    assert study.model_dump()["tracking"]["uri"] == kept
+    assert "hush" not in study.model_dump_json()
 
 
 @pytest.mark.parametrize("name", ["cube", "workspace"])

@@ -25,9 +25,10 @@ from iksamples.paper.table import study_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, Tracking, parse_study
+from iksamples.study.section import without_password
 from iksamples.task import study_task
 from iksamples.tracking.content import STUDY_KEY, study_runs
-from iksamples.tracking.store import Outcome, connect, without_password
+from iksamples.tracking.store import Outcome, connect
 from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_uri
 
 
@@ -432,6 +433,18 @@ def test_which_store(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:5000")
     assert tracking_uri(study) == "http://127.0.0.1:5000"
     assert tracking_uri(at(study, "sqlite:///mine.db")) == "sqlite:///mine.db"
+
+
+def test_a_kept_study_gets_its_password_from_the_environment(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = "http://me:hush@127.0.0.1:9"
+    kept = Study.model_validate_json(at(study, whole).model_dump_json())
+    with pytest.raises(IksamplesError, match="Set MLFLOW_TRACKING_URI to the whole address") as no:
+        tracking_uri(kept)
+    assert "hush" not in str(no.value)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", whole)
+    assert tracking_uri(kept) == tracking_uri(at(study, whole)) == whole
 
 
 @pytest.mark.parametrize(

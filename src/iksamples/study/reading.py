@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from iksamples.errors import IksamplesError
 from iksamples.study.evaluation import DoubleRectangle, Heart
-from iksamples.study.section import NAMES, Section
+from iksamples.study.section import NAMES, Section, without_password
 from iksamples.study.study import Study, overlay
 from iksamples.study.text import read_settings
 
@@ -103,7 +103,8 @@ def _describe(item: Any) -> str:
         return f"'{key}' is missing."
     if not location:  # a rule between sections, which names its keys itself
         return f"{_expected(item)}."
-    found = "nothing" if item["input"] is None else _shown(json.dumps(item["input"], default=str))
+    found = "nothing" if item["input"] is None else json.dumps(item["input"], default=str)
+    found = _shown(without_password(found))
     return f"'{key}' {_expected(item)} (found {found})."
 
 

@@ -1,8 +1,9 @@
 """What every section of the study file shares."""
 
+import re
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 
 
 # A tuple is written as a list; its numbers stay strict.
@@ -17,8 +18,22 @@ NAMES = {
 }
 """Pattern of a name that becomes a folder or file -> in words."""
 
-StudyName = Annotated[str, Field(pattern=_STUDY, max_length=60)]
-Name = Annotated[str, Field(pattern=_INSIDE, max_length=60)]
+
+def _no_refrain(name: str) -> str:
+    """Snakemake takes 20 repetitions at the end of a wildcard for a rule that calls itself."""
+    if re.search(r"(.+)\1{19}$", name):
+        raise ValueError("should not repeat the same letters 20 times")
+    return name
+
+
+StudyName = Annotated[str, Field(pattern=_STUDY, max_length=60), AfterValidator(_no_refrain)]
+Name = Annotated[str, Field(pattern=_INSIDE, max_length=60), AfterValidator(_no_refrain)]
+
+
+def without_password(uri: str) -> str:
+    """A URI that can be shown or kept: what may be a password or a key in it is ``***``."""
+    shown = re.sub(r"(://[^/?#@:]*):.*@", r"\1:***@", uri)
+    return re.sub(r"(?i)([?&;][^=&;]*(?:pass|pwd|token|secret|key)[^=&;]*=)[^&;]*", r"\1***", shown)
 
 
 class Section(BaseModel):

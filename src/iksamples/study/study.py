@@ -4,12 +4,12 @@ import hashlib
 import json
 from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from iksamples.study.evaluation import Bounds, Calibration, Evaluation, Tolerance
 from iksamples.study.robot import Asked, Robot, Workspace
 from iksamples.study.samples import TENSOR, Samples, grid_shape
-from iksamples.study.section import Name, Section, StudyName
+from iksamples.study.section import Name, Section, StudyName, without_password
 from iksamples.study.training import Method, Network, Training
 
 
@@ -25,8 +25,14 @@ class Tracking(Section):
 
     uri: str | None = Field(
         None,
-        description="Tracking URI; null: MLFLOW_TRACKING_URI, else sqlite:///mlflow.db here.",
+        description="Tracking URI; null: MLFLOW_TRACKING_URI, else sqlite:///mlflow.db here. A "
+        "password in it is kept in no file; better name the server without it, and the whole "
+        "address in MLFLOW_TRACKING_URI.",
     )
+
+    @field_serializer("uri")
+    def _kept_without_password(self, uri: str | None) -> str | None:
+        return uri and without_password(uri)
 
 
 class Study(Section):

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from iksamples.errors import IksamplesError
+from iksamples.study.section import without_password
 from iksamples.tracking.content import RunContent, Samples
 
 
@@ -134,19 +134,11 @@ def failing_plainly(uri: str) -> Iterator[None]:
         reason = str(error).strip().splitlines()[0]
         if "Max retries exceeded" in reason:
             reason = "no answer"
-        reason = reason.replace(urlsplit(uri).netloc, urlsplit(without_password(uri)).netloc)
+        reason = without_password(reason.replace(uri, without_password(uri)))
         raise IksamplesError(
             f"tracking.uri: cannot use {without_password(uri)} ({reason[:200]}). Start that server "
             "or name another store; the next run goes on with what is not logged yet."
         ) from None
-
-
-def without_password(uri: str) -> str:
-    """A URI that can be shown."""
-    parts = urlsplit(uri)
-    if "@" not in parts.netloc:
-        return uri
-    return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
 
 
 def _log(

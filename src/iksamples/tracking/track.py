@@ -7,8 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
+from iksamples.errors import IksamplesError
 from iksamples.results import Cell
 from iksamples.study import Study
+from iksamples.study.section import without_password
 from iksamples.tracking.content import study_runs
 from iksamples.tracking.store import (
     Outcome,
@@ -16,7 +18,6 @@ from iksamples.tracking.store import (
     experiment,
     failing_plainly,
     upsert,
-    without_password,
 )
 
 
@@ -48,6 +49,8 @@ def track(
     """
     # Before the first import of MLflow, which reads it then.
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    # Its lines would name the store, password included, once per run.
+    os.environ["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] = "true"
     for noisy in ("alembic", "mlflow.store.db.utils", "urllib3.connectionpool"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
     # All of it read first, so that a missing file stops this before anything is written.
@@ -76,8 +79,23 @@ def track(
 
 
 def tracking_uri(study: Study) -> str:
-    """The study's tracking URI, or the environment's, or a SQLite file in the working folder."""
-    return study.tracking.uri or os.environ.get("MLFLOW_TRACKING_URI") or DEFAULT_URI
+    """The study's tracking URI, or the environment's, or a SQLite file in the working folder.
+
+    A study that a run has kept names the store without its password; the environment's address is
+    used where it is the same but for that.
+
+    Raises:
+        IksamplesError: The password is nowhere.
+    """
+    asked, given = study.tracking.uri, os.environ.get("MLFLOW_TRACKING_URI")
+    if given and (not asked or without_password(asked) == without_password(given)):
+        return given
+    if asked and "***" in asked:
+        raise IksamplesError(
+            f"tracking.uri: {asked} lacks its password, which no result keeps. Set "
+            "MLFLOW_TRACKING_URI to the whole address."
+        )
+    return asked or DEFAULT_URI
 
 
 def source_tags(study: Study) -> dict[str, str]:
