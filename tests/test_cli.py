@@ -50,7 +50,7 @@ def test_check_says_what_the_arm_can_reach(command):
             ("prove", "--method", "cubic", "--folder", "f"),
             "nothing can be proved of 'cubic'; there",
         ),
-        (("evaluate", "--method", "none", "--folder", "f"), "no method 'none'; there are network"),
+        (("evaluate", "--method", "none", "--results", "r"), "no method 'none'; there are network"),
         (("record", "--path", "none", "--results", "r"), "no path 'none'; there are rectangles"),
         (("table", "--results", "r"), "certificates.csv: there is no such file. Either the name"),
         (("map", "--results", "r"), "there is no such file. Either the name is wrong"),
@@ -124,14 +124,12 @@ def test_a_study_by_hand_without_snakemake(command, tmp_path):
     """The steps in the README's order give a table."""
     study = "tests/studies/tiny.yaml"
     results = tmp_path / "tiny"
-    files = []
-    for name in ("grid2", "grid3"):
-        files.append(results / f"samples/{name}.parquet")
-        run(command, "samples", study, "--name", name, "-o", files[-1])
+    files = [results / f"samples/{name}.parquet" for name in ("grid2", "grid3")]
+    run(command, "samples", study, "-o", results / "samples")
     folder = results / "network"
     for step in (
         ("train", study, *files, "-o", results),
-        ("evaluate", study, *files, "--method", "network", "--folder", folder),
+        ("evaluate", study, *files, "--method", "network", "--results", results),
         ("bounds", study, *files, "--folder", folder),
         ("prove", study, *files, "--method", "network", "--folder", folder,
          "-o", folder / "certificates.csv"),

@@ -35,8 +35,8 @@ def snakemake(folder, *arguments, check=True, **environment):
         cwd=folder,
         capture_output=True,
         text=True,
-        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-        | environment,
+        # No environment is active: the command line is found by the Python that runs Snakemake.
+        env={**os.environ, "PATH": "/usr/bin:/bin"} | environment,
     )
     if check and done.returncode:
         raise AssertionError(done.stdout + done.stderr)
@@ -59,6 +59,65 @@ def planned(folder, *arguments):
         return set()
     rows = out.split("Job stats:")[1].split("total")[0].splitlines()
     return {row.split()[0] for row in rows[3:] if row.strip()} - {"all"}
+
+
+HOSTILE = """
+name: hostile
+title: "{x} {wildcards.study} {{y}} $(touch pwned) `touch pwned` 'q' <b> {input}"
+robot: {urdf: "an {arm} here.urdf"}
+samples: {points_per_axis: [2]}
+methods: {METHOD: {kind: cubic}}
+evaluation: {paths: {PATH: {shape: heart}}}
+""".replace("METHOD", "m-" * 19 + "abc" * 7).replace("PATH", "p" * 59 + "q")
+
+
+def test_what_a_study_says_is_no_pattern_of_snakemakes(tmp_path):
+    folder = project_copy(tmp_path)
+    (folder / "hostile.yaml").write_text(HOSTILE)
+    shutil.copy(folder / "config/robots/rrr70.urdf", folder / "an {arm} here.urdf")
+    rules = planned(folder, "--configfile", "hostile.yaml")
+    assert {"samples", "train", "evaluate_untrained", "record", "report"} <= rules
+    done = snakemake(folder, "results/hostile/samples/grid2.parquet", "--cores", "1",
+                     "--configfile", "hostile.yaml")  # fmt: skip
+    assert "(100%) done" in done.stderr
+    assert not (folder / "pwned").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--configfile", "twice.yaml"), "twice.yaml: 'name' stands twice, on lines 1 and 2"),
+        (("--configfile", "no-arm.yaml"), "robot.urdf: cannot read no.urdf (No such file"),
+        (("--config", "training={'seeds': yes}"), "'training.seeds' should be a valid integer"),
+        (("--config", "training={'seeds': 0}"), "'training.seeds' should be greater than"),
+        (("--config", "sedes=3"), "unknown key 'sedes'; known keys here: name,"),
+    ],
+)
+def test_a_study_is_refused_as_check_refuses_it(tmp_path, arguments, says):
+    folder = project_copy(tmp_path)
+    (folder / "twice.yaml").write_text("name: a\nname: b\n")
+    (folder / "no-arm.yaml").write_text("name: a\nrobot: {urdf: no.urdf}\n")
+    done = snakemake(folder, "-n", "--cores", "1", *arguments, check=False)
+    assert done.returncode == 2
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("Error: ")
+    assert says in last
+
+
+def test_another_folder_uses_it_as_a_module(tmp_path):
+    """As snakedeploy sets it up: a Snakefile of three lines, and a config folder beside it."""
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    shutil.copy(ROOT / TINY, tmp_path / "config/config.yaml")
+    (tmp_path / "Snakefile").write_text(
+        'configfile: "config/config.yaml"\n'
+        "module iksamples:\n"
+        f"    snakefile: {str(ROOT / 'workflow/Snakefile')!r}\n"
+        "    config: config\n"
+        "use rule * from iksamples\n"
+    )
+    assert {"train", "report"} <= planned(tmp_path)
+    snakemake(tmp_path, "results/tiny/samples/grid2.parquet", "--cores", "1")
+    assert (tmp_path / "results/tiny/samples/grid2.parquet").exists()
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +170,7 @@ def test_a_finished_study_has_nothing_to_be_done(project):
             "evaluation={'cube_points': 300}",
             {"evaluate", "bounds", "map", "collect", "table", "answer"},
         ),
+        ("title='{x} anew'", set()),
         ("bounds={'average_weight': 'rms'}", {"bounds", "table"}),
         (
             "training={'seeds': 4}",
@@ -123,6 +183,31 @@ def test_a_change_runs_the_steps_it_affects(project, change, rules):
     plan = planned(project, "--configfile", TINY, "--config", change)
     assert plan - later == rules
     assert {"track", "report"} <= plan
+
+
+def test_a_password_is_in_no_file_and_on_no_console(project, tmp_path):
+    folder = tmp_path / "secret"
+    shutil.copytree(project, folder)
+    done = snakemake(folder, "--cores", "2", "--keep-going", "--configfile", TINY, "--config",
+                     "tracking={'uri': 'http://me:hush@127.0.0.1:9'}", check=False)  # fmt: skip
+    assert "tracking.uri: cannot use http://me:***@127.0.0.1:9 (" in done.stderr
+    assert "hush" not in done.stdout + done.stderr
+    assert "127.0.0.1:9" in (folder / "results/tiny/study.json").read_text()
+    for file in folder.rglob("*"):
+        assert not file.is_file() or b"hush" not in file.read_bytes(), file
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["network/grid2/weights.safetensors", "network/grid3/errors.parquet", "certificates.csv"],
+)
+def test_what_was_removed_is_made_again(project, tmp_path, file):
+    folder = tmp_path / "removed"
+    shutil.copytree(project, folder)
+    before = (folder / "results/tiny" / file).read_bytes()
+    (folder / "results/tiny" / file).unlink()
+    snakemake(folder, f"results/tiny/{file}", "--cores", "2", "--configfile", TINY)
+    assert (folder / "results/tiny" / file).read_bytes() == before
 
 
 def test_a_new_grid_trains_only_itself(project, tmp_path):
@@ -166,7 +251,6 @@ def test_a_killed_run_goes_on_when_typed_again_with_the_same_numbers(project, tm
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
     )
     time.sleep(after_s)
     assert process.poll() is None, "finished before it could be killed"

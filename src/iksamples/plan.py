@@ -186,7 +186,7 @@ _PROOF = {"adam": 0.07, "levenberg-marquardt": 0.5}
 _RUN = 0.06
 """Logging of one network to MLflow."""
 _ADAPTIVE = 9.0
-"""Training of the networks that choose one adaptive set."""
+"""Training of the networks that choose the adaptive sets."""
 _TRAINING_MB, _OTHER_MB = 650.0, 320.0
 """Memory of a job with little to do: with Lightning, and without."""
 
@@ -227,10 +227,10 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         path.waypoints for path in study.evaluation.paths.values()
     )
     n_networks = plans["network"].networks
-    evaluations = [
-        _POINT * points * (plans[name].networks if name in plans else n_sets)
-        for name in study.all_methods
-    ]
+    evaluations = [_POINT * points * plan.networks for plan in methods]
+    untrained = len(study.all_methods) - len(methods)
+    if untrained:
+        evaluations.append(_POINT * points * untrained * n_sets)
     proofs = []
     for name in certified(study):
         method = study.all_methods[name]
@@ -238,9 +238,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         per_network = _PROOF[method.training.optimizer] * weights / 115
         proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
     work = {
-        "samples": [
-            _ADAPTIVE if design == "adaptive" else 0.0 for design, _ in sample_sets(study).values()
-        ],
+        "samples": [_ADAPTIVE if "adaptive" in study.samples.designs else 0.02 * n_sets],
         "train": [sum(plan.seconds for plan in methods)],
         "evaluate": evaluations,
         "bounds": [0.01 * n_networks],

@@ -43,7 +43,7 @@ rule collect:
         code=source_digest("iksamples.answer.collect"),
         results="results/{study}",
     shell:
-        "iksamples collect {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples collect {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
 
 rule table:
@@ -72,7 +72,7 @@ rule table:
         code=source_digest("iksamples.paper.table", "iksamples.paper.gather"),
         results="results/{study}",
     shell:
-        "iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
 
 rule answer:
@@ -94,7 +94,7 @@ rule answer:
         code=source_digest("iksamples.answer.size"),
         results="results/{study}",
     shell:
-        "iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
 
 rule calibrate:
@@ -116,5 +116,5 @@ rule calibrate:
         code=source_digest("iksamples.answer.fresh"),
         results="results/{study}",
     shell:
-        "iksamples calibrate {params.study:q} --results {params.results:q} --output {output:q}"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples calibrate {params.study:q} --results {params.results:q} --output {output:q}'
         " 2> >(tee {log:q} >&2)"

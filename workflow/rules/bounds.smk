@@ -13,7 +13,6 @@ OUTPUTS
 rule bounds:
     """The paper's bounds for every seed, beside its errors."""
     input:
-        urdf=STUDY.robot.urdf,
         samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
         weights=expand(
             "results/{{study}}/network/{samples}/weights.safetensors", samples=LABELS
@@ -27,18 +26,18 @@ rule bounds:
         "results/{study}/benchmarks/bounds.jsonl"
     params:
         study="results/{study}/study.json",
+        arm=ARM,
         settings=settings("robot", "workspace", "evaluation", "bounds"),
         code=source_digest("iksamples.paper.audit"),
         folder="results/{study}/network",
     shell:
-        "iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> >(tee {log:q} >&2)'
 
 
 rule prove:
     """The worst and the mean error of a method over the workspace, proved for every network."""
     input:
         weights,
-        urdf=STUDY.robot.urdf,
         samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
     output:
         "results/{study}/{method}/certificates.csv",
@@ -48,22 +47,20 @@ rule prove:
         "results/{study}/benchmarks/prove/{method}.jsonl"
     params:
         study="results/{study}/study.json",
+        arm=ARM,
         settings=settings("robot", "workspace"),
-        tightness=STUDY.bounds.model_dump_json(
-            include={"sup_rtol", "mean_rtol", "mean_atol_mm"}
-        ),
+        tightness=settings(bounds={"sup_rtol", "mean_rtol", "mean_atol_mm"}),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
         folder="results/{study}/{method}",
     shell:
-        "iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
         " --folder {params.folder:q} --output {output:q} 2> >(tee {log:q} >&2)"
 
 
 rule map:
     """Where the shown networks miss the tolerance, and their worst case along the training."""
     input:
-        urdf=STUDY.robot.urdf,
         snapshots=expand(
             "results/{{study}}/network/{samples}/snapshots.safetensors",
             samples=FIRST_LABELS,
@@ -84,8 +81,9 @@ rule map:
         "results/{study}/benchmarks/map.jsonl"
     params:
         study="results/{study}/study.json",
+        arm=ARM,
         settings=settings("robot", "workspace", "evaluation", "tolerance"),
         code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
         results="results/{study}",
     shell:
-        "iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'

@@ -2,6 +2,7 @@
 The study, validated before any job, and what the rules share.
 """
 
+import hashlib
 import json
 import os
 import shlex
@@ -11,7 +12,12 @@ from pathlib import Path
 from iksamples.errors import IksamplesError
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
-from iksamples.study import parse_study
+from iksamples.study import parse_study, read_study
+from iksamples.study.text import typed
+
+# What the rules run, so that no environment needs to be active. Among the params, Snakemake would
+# take another place of the same Python for another way to do things.
+os.environ["IKSAMPLES_PYTHON"] = sys.executable
 
 
 def stop(message):
@@ -19,6 +25,23 @@ def stop(message):
     for line in str(message).splitlines():
         print(f"Error: {line}", file=sys.stderr)
     sys.exit(2)
+
+
+def study_files():
+    """The study's files, as from this folder."""
+    return [os.path.relpath(file) for file in workflow.configfiles]
+
+
+def study_changes():
+    """What `--config` says besides."""
+    return typed(dict(workflow.config_settings.config))
+
+
+def the_study():
+    """The study, read as `iksamples check` does: Snakemake itself reads YAML more laxly."""
+    if workflow.modifier.skip_configfile:  # a module, whose caller gives the settings
+        return parse_study(dict(config), "the module's config")
+    return read_study(*study_files(), changes=study_changes())
 
 
 def lock_this_folder():
@@ -50,17 +73,42 @@ def write_study():
     unfinished.replace(file)
 
 
-def settings(*sections):
-    """The named sections of the study as text; a rule re-runs when they change."""
-    return STUDY.model_dump_json(include=set(sections))
+# What a study says reaches the rules through functions: Snakemake takes braces in plain values,
+# such as a title or the path of a URDF, for wildcards of its own.
 
 
-def typed_command():
-    """What a user types in this folder to run this study."""
-    files = [os.path.relpath(file) for file in workflow.overwrite_configfiles]
-    return shlex.join(
-        ["snakemake", "--cores", "2", *(["--configfile", *files] if files else [])]
+def settings(*sections, **parts):
+    """Sections of the study, or parts of a section, as text; a rule re-runs when it changes."""
+    text = STUDY.model_dump_json(include=dict.fromkeys(sections, True) | parts or None)
+
+    def as_text(wildcards):
+        return text
+
+    return as_text
+
+
+def weights(wildcards):
+    """What a method is asked with: a network's weights; the samples alone for any other."""
+    if wildcards.method not in networks(STUDY):
+        return []
+    return expand(
+        "results/{study}/{method}/{samples}/weights.safetensors",
+        study=wildcards.study,
+        method=wildcards.method,
+        samples=LABELS,
     )
+
+
+def typed_command(wildcards):
+    """What a user types to run this study."""
+    command = ["snakemake", "--cores", "2"]
+    if workflow.overwrite_configfiles:
+        command += ["--configfile", *study_files()]
+    # Where the runs are tracked is nobody else's, and may hold a password.
+    changes = {k: v for k, v in study_changes().items() if k != "tracking"}
+    if changes:
+        command += ["--config", *(f"{k}={json.dumps(v)}" for k, v in changes.items())]
+    return shlex.join(command)
 
 
 def where_to_look():
@@ -84,19 +132,34 @@ def where_to_look():
 
 
 try:
-    STUDY = parse_study(
-        dict(config), ", ".join(map(str, workflow.configfiles)) or "config"
-    )
+    STUDY = the_study()
 except IksamplesError as error:
     stop(error)
+try:
+    # A digest, since the path of an input is a pattern to Snakemake.
+    ARM = hashlib.sha256(Path(STUDY.robot.urdf).read_bytes()).hexdigest()[:12]
+except OSError as error:
+    stop(f"robot.urdf: cannot read {STUDY.robot.urdf} ({error.strerror}).")
+
+if STUDY.tracking.uri:
+    # What is kept of the study lacks its password, so the job that tracks it is told here.
+    os.environ["MLFLOW_TRACKING_URI"] = STUDY.tracking.uri
 
 LABELS = list(sample_sets(STUDY))
 FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))
 KINDS = {name: method.kind for name, method in STUDY.all_methods.items()}
+UNTRAINED = {name: kind for name, kind in KINDS.items() if kind != "network"}
+ADAPTIVE = "adaptive" in STUDY.samples.designs
+
+# Of a module, Snakemake calls no `onstart`, and here it is not known yet whether this is a dry run.
+if not workflow.modifier.is_main_snakefile() and workflow.is_main_process:
+    lock_this_folder()
+    write_study()
 
 
 wildcard_constraints:
     study=STUDY.name,
+    network="|".join(networks(STUDY)),
     samples="|".join(LABELS),
     method="|".join(STUDY.all_methods),
     path="|".join(STUDY.evaluation.paths),

@@ -1,6 +1,8 @@
 """
 Evaluation: each method sent along the paths and over the workspace.
 
+Methods that are not trained are measured in one job, since starting Python costs more.
+
 REQUIRED INPUTS
     results/<study>/samples/<samples>.parquet
     results/<study>/<method>/<samples>/weights.safetensors, where the method is a network
@@ -9,40 +11,63 @@ OUTPUTS
 """
 
 
-def weights(wildcards):
-    """What a network needs to be asked; another method needs the samples alone."""
-    if wildcards.method not in networks(STUDY):
-        return []
-    return expand(
-        "results/{study}/{method}/{samples}/weights.safetensors",
-        study=wildcards.study,
-        method=wildcards.method,
-        samples=LABELS,
-    )
-
-
 rule evaluate:
     """Measure the position error of every seed through the forward kinematics."""
     input:
-        weights,
-        urdf=STUDY.robot.urdf,
         samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+        weights=expand(
+            "results/{{study}}/{{network}}/{samples}/weights.safetensors",
+            samples=LABELS,
+        ),
     output:
         expand(
-            "results/{{study}}/{{method}}/{samples}/{table}.parquet",
+            "results/{{study}}/{{network}}/{samples}/{table}.parquet",
             samples=LABELS,
             table=["waypoints", "cube", "errors"],
         ),
     log:
-        "results/{study}/logs/evaluate/{method}.log",
+        "results/{study}/logs/evaluate/{network}.log",
     benchmark:
-        "results/{study}/benchmarks/evaluate/{method}.jsonl"
+        "results/{study}/benchmarks/evaluate/{network}.jsonl"
     params:
         study="results/{study}/study.json",
+        arm=ARM,
         settings=settings("robot", "workspace", "evaluation"),
-        kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.evaluation.step"),
-        folder="results/{study}/{method}",
+        results="results/{study}",
     shell:
-        "iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.method}"
-        " --folder {params.folder:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.network}'
+        " --results {params.results:q} 2> >(tee {log:q} >&2)"
+
+
+# A rule needs an output, and a study may compare no such method.
+if UNTRAINED:
+
+    rule evaluate_untrained:
+        """Measure the position error of tables, splines, kernels and the exact inverse."""
+        input:
+            samples=expand(
+                "results/{{study}}/samples/{samples}.parquet", samples=LABELS
+            ),
+        output:
+            expand(
+                "results/{{study}}/{method}/{samples}/{table}.parquet",
+                method=UNTRAINED,
+                samples=LABELS,
+                table=["waypoints", "cube", "errors"],
+            ),
+        log:
+            "results/{study}/logs/evaluate/untrained.log",
+        benchmark:
+            "results/{study}/benchmarks/evaluate/untrained.jsonl"
+        params:
+            study="results/{study}/study.json",
+            arm=ARM,
+            settings=settings("robot", "workspace", "evaluation"),
+            kinds=UNTRAINED,
+            code=source_digest("iksamples.evaluation.step"),
+            methods=[f"--method={name}" for name in UNTRAINED],
+            results="results/{study}",
+        shell:
+            '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} {params.methods}'
+            " --results {params.results:q} 2> >(tee {log:q} >&2)"

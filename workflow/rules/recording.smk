@@ -11,7 +11,6 @@ OUTPUTS
 rule record:
     """Record one path with all grids in it."""
     input:
-        urdf=STUDY.robot.urdf,
         waypoints=expand(
             "results/{{study}}/network/{samples}/waypoints.parquet", samples=LABELS
         ),
@@ -29,9 +28,10 @@ rule record:
         "results/{study}/benchmarks/record/{path}.jsonl"
     params:
         study="results/{study}/study.json",
+        arm=ARM,
         settings=settings("title", "robot", "workspace", "evaluation", "training"),
         code=source_digest("iksamples.recording.record"),
         results="results/{study}",
     shell:
-        "iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}'
         " --output {output:q} 2> >(tee {log:q} >&2)"

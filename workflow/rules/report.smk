@@ -14,7 +14,6 @@ OUTPUTS
 rule report:
     """Build the report."""
     input:
-        urdf=STUDY.robot.urdf,
         runs="results/{study}/runs.parquet",
         paper=multiext("results/{study}/", "table.csv", "claims.csv"),
         answer="results/{study}/answer.json",
@@ -36,11 +35,12 @@ rule report:
         "results/{study}/benchmarks/report.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=STUDY.model_dump_json(),
+        arm=ARM,
+        settings=settings(),
         code=source_digest("iksamples.report.write", "iksamples.report.front"),
         results="results/{study}",
         folder=subpath(output.html, parent=True),
-        command=typed_command(),
+        command=typed_command,
     shell:
-        "iksamples report {params.study:q} --results {params.results:q}"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples report {params.study:q} --results {params.results:q}'
         " --output {params.folder:q} --command {params.command:q} 2> >(tee {log:q} >&2)"

@@ -1,5 +1,5 @@
 """
-Samples: one set per design and size.
+Samples: all sets of all designs in one job, since starting Python costs more than recording.
 
 REQUIRED INPUTS
     the arm's URDF
@@ -8,30 +8,25 @@ OUTPUTS
 """
 
 
-def adaptive_settings(wildcards):
-    """What an adaptive set depends on besides: the networks that choose its points."""
-    if not wildcards.samples.startswith("adaptive"):
-        return None
-    return settings("network", "training") + source_digest("iksamples.answer.adaptive")
-
-
 rule samples:
-    """Record one set of samples."""
-    input:
-        urdf=STUDY.robot.urdf,
+    """Record every set of samples."""
     output:
-        "results/{study}/samples/{samples}.parquet",
+        expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
     log:
-        "results/{study}/logs/samples/{samples}.log",
+        "results/{study}/logs/samples.log",
     benchmark:
-        "results/{study}/benchmarks/samples/{samples}.jsonl"
+        "results/{study}/benchmarks/samples.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("robot", "workspace"),
-        placing=STUDY.samples.model_dump_json(exclude={"designs", "points_per_axis"}),
-        held_out=STUDY.training.held_out.model_dump_json(),
-        chosen=adaptive_settings,
-        code=source_digest("iksamples.samples.record"),
+        arm=ARM,
+        settings=settings("robot", "workspace", "samples"),
+        held_out=settings(training={"held_out"}),
+        # What an adaptive set depends on besides: the networks that choose its points.
+        guides=settings("network", "training") if ADAPTIVE else None,
+        code=source_digest(
+            "iksamples.samples.record",
+            *(["iksamples.answer.adaptive"] if ADAPTIVE else []),
+        ),
+        folder="results/{study}/samples",
     shell:
-        "iksamples samples {params.study:q} --name {wildcards.samples}"
-        " --output {output:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples samples {params.study:q} --output {params.folder:q} 2> >(tee {log:q} >&2)'

@@ -26,8 +26,8 @@ rule track:
         "results/{study}/benchmarks/track.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=STUDY.model_dump_json(),
+        settings=settings(),
         code=source_digest("iksamples.tracking.track"),
         results="results/{study}",
     shell:
-        "iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> >(tee {log:q} >&2)'

@@ -38,5 +38,5 @@ rule train:
         folder="results/{study}",
         cache="results/{study}/cache",
     shell:
-        "iksamples train {params.study:q} {input.samples:q}"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples train {params.study:q} {input.samples:q}'
         " --output {params.folder:q} --cache {params.cache:q}"

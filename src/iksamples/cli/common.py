@@ -50,15 +50,20 @@ MethodFolder = Annotated[
 ]
 
 
-def record_one(study: "Study", task: "Task", design: "Design", n: int) -> "SampleSet":
-    """Samples of a design; the adaptive one trains networks to choose them."""
-    if design == "adaptive":
-        from iksamples.answer.adaptive import adaptive_sets
-
-        return adaptive_sets(study, task, [n])[n]
+def record_sets(
+    study: "Study", task: "Task", sets: "dict[str, tuple[Design, int]]"
+) -> "Iterator[SampleSet]":
+    """Samples of several sets; those of the adaptive design grow from one another."""
     from iksamples.samples.record import record_samples
 
-    return record_samples(study, task, design, n)
+    adaptive = [n for design, n in sets.values() if design == "adaptive"]
+    if adaptive:
+        from iksamples.answer.adaptive import adaptive_sets
+
+        yield from adaptive_sets(study, task, adaptive).values()
+    for design, n in sets.values():
+        if design != "adaptive":
+            yield record_samples(study, task, design, n)
 
 
 def load_samples(files: list[Path]) -> "list[SampleSet]":

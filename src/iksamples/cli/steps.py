@@ -15,7 +15,7 @@ from iksamples.cli.common import (
     app,
     load_samples,
     open_study,
-    record_one,
+    record_sets,
     require_feasible,
     require_one_of,
     whole_file,
@@ -26,18 +26,26 @@ from iksamples.errors import IksamplesError
 @app.command()
 def samples(
     study_file: StudyFile,
-    name: Annotated[str, typer.Option(help="Which set of samples, such as grid5 or sobol125.")],
-    output: Output,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder that gets a file for each set.")
+    ],
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this set of samples, such as grid5 or sobol125; can be repeated."),
+    ] = None,
 ) -> None:
-    """Record one set of samples: positions and the joint angles that reach them."""
+    """Record sets of samples: positions and the joint angles that reach them."""
     from iksamples.results import sample_sets
 
     study, task = open_study(study_file)
-    require_feasible(study, task)
     sets = sample_sets(study)
-    require_one_of(sets, name, f"{study_file}: no samples")
-    with whole_file(output) as file:
-        record_one(study, task, *sets[name]).save(file)
+    for one in name or ():
+        require_one_of(sets, one, f"{study_file}: no samples")
+    require_feasible(study, task)
+    wanted = {label: sets[label] for label in name or sets}
+    for recorded in record_sets(study, task, wanted):
+        with whole_file(output / f"{recorded.label}.parquet") as file:
+            recorded.save(file)
 
 
 @app.command()
@@ -61,25 +69,30 @@ def train(
 
 @app.command()
 def evaluate(
-    study_file: StudyFile, samples_files: SamplesFiles, method: MethodName, folder: MethodFolder
+    study_file: StudyFile,
+    samples_files: SamplesFiles,
+    method: Annotated[list[str], typer.Option(help="Which of the study's methods; repeatable.")],
+    results: Results,
 ) -> None:
-    """Send a method along the paths and over the workspace; measure through the FK."""
+    """Send methods along the paths and over the workspace; measure through the FK."""
     from iksamples.evaluation.step import evaluate as measure
     from iksamples.study import read_study
     from iksamples.task import study_task
 
     study = read_study(study_file)
-    require_one_of(study.all_methods, method, f"{study_file}: no method")
-    all_samples = load_samples(samples_files)
-    task = study_task(study, all_samples[0].region)
-    for samples in all_samples:
-        cell = folder / samples.label
-        tables, why_not = measure(study, task, samples, method, cell)
-        if why_not:
-            typer.echo(why_not, err=True)
-        for name, table in tables.items():
-            with whole_file(cell / f"{name}.parquet") as file:
-                table.to_parquet(file)
+    for name in method:
+        require_one_of(study.all_methods, name, f"{study_file}: no method")
+    sets = load_samples(samples_files)
+    task = study_task(study, sets[0].region)
+    for name in method:
+        for samples in sets:
+            cell = results / name / samples.label
+            tables, why_not = measure(study, task, samples, name, cell)
+            if why_not:
+                typer.echo(why_not, err=True)
+            for kind, table in tables.items():
+                with whole_file(cell / f"{kind}.parquet") as file:
+                    table.to_parquet(file)
 
 
 @app.command()

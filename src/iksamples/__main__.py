@@ -1,0 +1,6 @@
+"""``python -m iksamples``: the command line of the Python that runs it."""
+
+from iksamples.cli import main
+
+
+main()
