@@ -68,7 +68,9 @@ rule table:
         "results/{study}/benchmarks/table.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=settings("robot", "workspace", "samples", "evaluation", "bounds"),
+        settings=settings(
+            "robot", "task", "workspace", "samples", "evaluation", "bounds"
+        ),
         code=source_digest("iksamples.paper.table", "iksamples.paper.gather"),
         results="results/{study}",
     shell:
@@ -111,7 +113,13 @@ rule calibrate:
     params:
         study="results/{study}/study.json",
         settings=settings(
-            "robot", "workspace", "training", "evaluation", "bounds", "calibration"
+            "robot",
+            "task",
+            "workspace",
+            "training",
+            "evaluation",
+            "bounds",
+            "calibration",
         ),
         code=source_digest("iksamples.answer.fresh"),
         results="results/{study}",

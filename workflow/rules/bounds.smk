@@ -27,7 +27,7 @@ rule bounds:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "workspace", "evaluation", "bounds"),
+        settings=settings("robot", "task", "workspace", "evaluation", "bounds"),
         code=source_digest("iksamples.paper.audit"),
         folder="results/{study}/network",
     shell:
@@ -48,7 +48,7 @@ rule prove:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "workspace"),
+        settings=settings("robot", "task", "workspace"),
         tightness=settings(bounds={"sup_rtol", "mean_rtol", "mean_atol_mm"}),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
@@ -82,7 +82,7 @@ rule map:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "workspace", "evaluation", "tolerance"),
+        settings=settings("robot", "task", "workspace", "evaluation", "tolerance"),
         code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
         results="results/{study}",
     shell:

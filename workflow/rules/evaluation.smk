@@ -32,7 +32,7 @@ rule evaluate:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "workspace", "evaluation"),
+        settings=settings("robot", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.evaluation.step"),
         results="results/{study}",
     shell:
@@ -63,7 +63,7 @@ if UNTRAINED:
         params:
             study="results/{study}/study.json",
             arm=ARM,
-            settings=settings("robot", "workspace", "evaluation"),
+            settings=settings("robot", "task", "workspace", "evaluation"),
             kinds=UNTRAINED,
             code=source_digest("iksamples.evaluation.step"),
             methods=[f"--method={name}" for name in UNTRAINED],

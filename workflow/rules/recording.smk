@@ -29,7 +29,9 @@ rule record:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("title", "robot", "workspace", "evaluation", "training"),
+        settings=settings(
+            "title", "robot", "task", "workspace", "evaluation", "training"
+        ),
         code=source_digest("iksamples.recording.record"),
         results="results/{study}",
     shell:

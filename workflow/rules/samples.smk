@@ -19,7 +19,7 @@ rule samples:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "workspace", "samples"),
+        settings=settings("robot", "task", "workspace", "samples"),
         held_out=settings(training={"held_out"}),
         # What an adaptive set depends on besides: the networks that choose its points.
         guides=settings("network", "training") if ADAPTIVE else None,
