@@ -13,7 +13,7 @@ from iksamples.errors import IksamplesError
 
 
 Floats = NDArray[np.float64]
-Weights = NDArray[np.float32]
+Weights = NDArray[np.floating]  # float32 where trained here
 
 ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "relu": lambda x: np.maximum(x, 0.0),

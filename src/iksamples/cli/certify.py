@@ -1,68 +1,252 @@
 """`iksamples certify`: the largest error of anybody's network on anybody's arm, proved."""
 
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from iksamples.cli.common import app
+from iksamples.errors import IksamplesError
 
 
-@app.command()
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from iksamples.region import Region
+
+
+_NUMBERS = {
+    "--box",
+    "--offset-mm",
+    "--scale-mm",
+    "--output-offset",
+    "--output-scale",
+}
+"""Options that take as many numbers as follow."""
+
+
+class NumbersCommand(TyperCommand):
+    """A command some options of which take as many numbers as follow them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Joins the numbers behind such an option into one word."""
+        joined: list[str] = []
+        for word in args:
+            if len(joined) > 1 and joined[-2] in _NUMBERS and _is_number(word):
+                joined[-1] += f" {word}"
+            else:
+                joined.append(word)
+        return super().parse_args(ctx, joined)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+@app.command(cls=NumbersCommand)
 def certify(
     weights: Annotated[
         Path,
-        typer.Option(help="Networks: .safetensors, .pt (a state dict of Linear layers) or .onnx."),
+        typer.Option(help="Networks: .onnx, or a state dict (.pt, .pth, .ckpt, .safetensors)."),
     ],
     robot: Annotated[Path, typer.Option(help="URDF of the arm.")],
     box: Annotated[
-        tuple[float, float, float, float, float, float],
-        typer.Option(help="Workspace [mm]: lower x y z, upper x y z."),
+        str,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Workspace [mm]: all lower ends, then all upper ends, such as 20 20 0 80 80 60; "
+            "2 to 6 coordinates, those after the third in the network's own units.",
+        ),
     ],
     activation: Annotated[
         str | None, typer.Option(help="relu or tanh, where the file does not say.")
     ] = None,
+    layers: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C", help="A state dict's layers in the order of their use."),
+    ] = None,
+    key: Annotated[
+        str | None, typer.Option(help="Which state dict of a checkpoint that holds several.")
+    ] = None,
     offset_mm: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(help="What the network's user subtracts from a position first [mm]."),
+        str | None,
+        typer.Option(metavar="NUMBERS", help="What is subtracted from a position first [mm]."),
     ] = None,
     scale_mm: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="And then divides it by [mm].")
+        str | None, typer.Option(metavar="NUMBERS", help="And what it is divided by then [mm].")
+    ] = None,
+    input_unit: Annotated[
+        str | None, typer.Option(help="What the network takes positions in: mm (default) or m.")
+    ] = None,
+    output_unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What its answer is in: rad (default) or deg; mm (default) or m for prismatic "
+            "joints."
+        ),
+    ] = None,
+    output_scale: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBERS", help="What its answer is multiplied by first."),
+    ] = None,
+    output_offset: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBERS", help="What is added then [the output's unit]."),
+    ] = None,
+    base_link: Annotated[
+        str | None, typer.Option(help="First link of the arm; by default the URDF's root.")
+    ] = None,
+    tip_link: Annotated[
+        str | None,
+        typer.Option(help="Link at the tool centre point; by default the URDF's only end."),
     ] = None,
     rtol: Annotated[float, typer.Option(min=1e-6, max=1, help="Gap of the bounds.")] = 1e-3,
+    time_limit: Annotated[
+        float, typer.Option(min=0, help="Time for the search, per network [s].")
+    ] = 60.0,
+    max_boxes: Annotated[
+        int, typer.Option(min=1, help="Boxes that the search may bound, per network.")
+    ] = 1_000_000,
 ) -> None:
-    """Prove the largest position error of any networks over a box, and check the proof."""
+    """Prove the largest position error of any networks over a box, and check the proof.
+
+    Exits with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
+    """
+    import numpy as np
+
     from iksamples.arm.load import load_arm
     from iksamples.certify.checker import Claim, verify
-    from iksamples.certify.external import load_network
+    from iksamples.certify.jets import Linkage
+    from iksamples.certify.layers import Layers
     from iksamples.certify.printing import point, rounded_down, rounded_up
-    from iksamples.certify.rounding import inference_slack_mm
+    from iksamples.certify.readers.network import load_network
+    from iksamples.certify.readers.units import fed_as, read_as
+    from iksamples.certify.rounding import FLOAT64, inference_slack_mm, rounding_slack_mm
     from iksamples.certify.search import certify_stack
-    from iksamples.errors import IksamplesError
-    from iksamples.region import Region
 
-    network = load_network(weights, activation=activation, offset_mm=offset_mm, scale_mm=scale_mm)
-    chain = load_arm(robot)
-    region = Region.box(box[:3], box[3:])
-    slack_mm = inference_slack_mm(network, chain, region)
-    proofs = certify_stack(network, chain, region, rtol=rtol, keep_leaves=True)
+    region = _box(box)
+    chain = load_arm(robot, base_link, tip_link)
+    fed = fed_as(
+        region.n_inputs,
+        input_unit,
+        _numbers("--offset-mm", offset_mm),
+        _numbers("--scale-mm", scale_mm),
+    )
+    reading = load_network(
+        weights,
+        (region.n_inputs, chain.n_joints),
+        activation=activation,
+        layers=None if layers is None else layers.split(","),
+        key=key,
+        fed=fed,
+        read=read_as(
+            chain.joint_kinds,
+            output_unit or (),
+            _numbers("--output-offset", output_offset),
+            _numbers("--output-scale", output_scale),
+        ),
+    )
+    network = reading.network
+    typer.echo(f"Read {weights}: {reading.order}.")
+    slack_mm = np.zeros(network.n_seeds)
+    if not reading.exact:  # half a unit in the last place of each number, which this allows for
+        slack_mm = rounding_slack_mm(Layers.of(network), Linkage.of(chain), region, FLOAT64)
+    with _shown(f"searching, for at most {time_limit * network.n_seeds:g} s"):
+        proofs = certify_stack(
+            network,
+            chain,
+            region,
+            rtol=rtol,
+            time_limit_s=time_limit,
+            max_boxes=max_boxes,
+            keep_leaves=True,
+        )
+    proved = True
     for row, proof in enumerate(proofs):
         claim = Claim(network, row, chain, region, proof.upper, proof.lower, proof.argmax)
-        if not verify(claim, proof.leaves).verified:
-            raise IksamplesError(
-                f"{weights}: seed {network.seeds[row]}: the search's bound could not be checked, "
-                "so it is none."
-            )
+        with _shown("checking the proof"):
+            check = verify(claim, proof.leaves)
+        # What the checker itself has proved holds, also where the search stated less or more.
+        upper_mm, lower_mm = check.upper + slack_mm[row], check.lower - slack_mm[row]
+        if not np.isfinite(upper_mm):
+            proved = False
+            typer.echo(f"seed {network.seeds[row]}: NOT PROVED, so there is no bound.", err=True)
+            continue
         typer.echo(
             f"seed {network.seeds[row]}: no position of the box is missed by more than "
-            f"{rounded_up(proof.upper)} mm; "
-            f"at {point(proof.argmax)} mm it is missed by {rounded_down(proof.lower)} mm "
-            f"(checked, {proof.boxes} boxes{'' if proof.complete else ', search not finished'})"
+            f"{rounded_up(upper_mm)} mm; at {point(proof.argmax)} mm it is missed by "
+            f"{rounded_down(max(lower_mm, 0.0))} mm (checked, {proof.boxes} boxes"
+            f"{'' if proof.complete else '; stopped early, so the bound may be far above'})"
         )
-    if offset_mm is None and scale_mm is None and weights.suffix != ".safetensors":
-        typer.echo("Positions go into the network as they are, in mm (no --offset-mm, --scale-mm).")
+    if not proved:
+        raise typer.Exit(1)
+    if fed is None:
+        typer.echo("Positions go into the network as they are, in mm (no option says otherwise).")
+    allowance = rounded_up(float(inference_slack_mm(network, chain, region).max()))
+    folded = " (as folded here; the file's own operations round more often)"
     typer.echo(
         "Proved for the stored weights read as exact real numbers, in real arithmetic, over the "
-        "closed box; evaluating a network in float32 adds at most "
-        f"{rounded_up(float(slack_mm.max()))} mm."
+        "closed box; evaluating these layers in float32 adds at most "
+        f"{allowance} mm{folded if reading.folded else ''}."
     )
+
+
+def _box(text: str) -> "Region":
+    """The box of ``--box``."""
+    from iksamples.region import Region
+
+    ends = _numbers("--box", text)
+    assert ends is not None
+    d = len(ends) // 2
+    if len(ends) % 2 or not 2 <= d <= 6:
+        raise IksamplesError(
+            f"--box has {len(ends)} numbers; give all lower ends, then all upper ends, of 2 to 6 "
+            "coordinates, such as --box 20 20 0 80 80 60."
+        )
+    try:
+        return Region.box(ends[:d], ends[d:])
+    except IksamplesError as error:
+        raise IksamplesError(f"--box: {error}") from None
+
+
+def _numbers(option: str, text: str | None) -> "NDArray[np.float64] | None":
+    """The numbers behind an option."""
+    import numpy as np
+
+    if text is None:
+        return None
+    words = text.replace(",", " ").split()
+    strange = next((word for word in words if not _is_number(word)), None)
+    if strange is not None or not words:
+        raise IksamplesError(f"{option}: '{strange or text}' is not a number.")
+    return np.array([float(word) for word in words])
+
+
+@contextmanager
+def _shown(what: str) -> Iterator[None]:
+    """Says on stderr what is taking time, after a second and then every ten."""
+    began, done = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        wait = 1.0
+        while not done.wait(wait):
+            typer.echo(f"{time.monotonic() - began:.0f} s: {what} ...", err=True)
+            wait = 10.0
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()

@@ -1,0 +1,198 @@
+"""`iksamples certify`: what is asked, said and proved."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from certificate_cases import plain_tip
+from typer.testing import CliRunner
+
+from iksamples.arm.load import load_arm
+from iksamples.cli import app
+from iksamples.errors import IksamplesError
+
+
+ROBOTS = Path("config/robots").resolve()
+BOX = "--box 20 20 0 80 80 60"
+SCALED = "--offset-mm 20 20 0 --scale-mm 60 60 60"
+
+
+def certify(words, code=0):
+    result = CliRunner().invoke(app, ["certify", *words.split()])
+    if isinstance(result.exception, IksamplesError):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def bounds(text):
+    """The upper bound, the error that is taken, and where."""
+    upper, where, lower = re.search(
+        r"by more than ([0-9.]+) mm; at \((.*)\) mm it is missed by ([0-9.]+) mm \(checked", text
+    ).groups()
+    return float(upper), float(lower), np.array([float(x) for x in where.split(",")])
+
+
+def save(path, widths=(3, 8, 3), scale=1.0):
+    torch.manual_seed(5)
+    first, last = torch.nn.Linear(*widths[:2]), torch.nn.Linear(*widths[1:])
+    with torch.no_grad():
+        last.weight *= scale
+        last.bias *= scale
+    model = torch.nn.Sequential(first, torch.nn.Tanh(), last).double()
+    torch.save(model.state_dict(), path)
+    return model
+
+
+@pytest.fixture
+def net(tmp_path):
+    save(tmp_path / "net.pt")
+    return tmp_path / "net.pt"
+
+
+def test_the_sentence_reproduces(net):
+    """The bound holds at random points, and the point has the error that is printed."""
+    model = save(net)
+    robot = ROBOTS / "rrr70.urdf"
+    upper, lower, at = bounds(
+        certify(f"--weights {net} --activation tanh --robot {robot} {BOX} {SCALED}")
+    )
+    points = np.random.default_rng(2).uniform((20, 20, 0), (80, 80, 60), (2000, 3))
+    points = np.concatenate([points, at[None]])
+    given = torch.tensor((points - (20, 20, 0)) / 60)
+    tips = plain_tip(load_arm(robot), model(given).detach().numpy())
+    errors = np.linalg.norm(tips - points, axis=1)
+    assert errors.max() <= upper
+    assert errors[-1] >= lower
+    assert upper <= 1.0011 * lower
+
+
+def test_units_and_scalings_of_both_ends_say_the_same(tmp_path):
+    """One function, told in four ways."""
+    net, robot = tmp_path / "net.pt", ROBOTS / "rrr70.urdf"
+    save(net)
+    rad = bounds(certify(f"--weights {net} --activation tanh --robot {robot} {BOX} --input-unit m"))
+    save(net, scale=180 / np.pi)
+    start = f"--weights {net} --activation tanh --robot {robot} {BOX}"
+    degrees = f"{start} --output-unit deg"
+    ways = [
+        f"{degrees} --input-unit m",
+        f"{degrees} --scale-mm 1000 1000 1000",
+        f"{start} --scale-mm 1000,1000,1000 --output-scale {' '.join([repr(np.pi / 180)] * 3)}",
+        f"{degrees} --input-unit m --output-scale 1 1 1 --output-offset 0 0 0",
+    ]
+    for words in ways:
+        found = bounds(certify(words))
+        np.testing.assert_allclose(found[0], rad[0], atol=2e-4)
+        np.testing.assert_array_equal(found[2], rad[2])
+    save(net)
+    turned = bounds(
+        certify(f"--weights {net} --activation tanh --robot {robot} {BOX} {SCALED} "
+                "--output-scale 2 2 2 --output-offset 10 -20 30 --output-unit deg")
+    )  # fmt: skip
+    at = turned[2]
+    answer = save(net)(torch.tensor((at - (20, 20, 0)) / 60)).detach().numpy()
+    tip = plain_tip(load_arm(robot), np.radians(2 * answer + (10, -20, 30))[None])[0]
+    assert np.linalg.norm(tip - at) == pytest.approx(turned[1], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("robot", "widths", "box"),
+    [
+        ("planar2r", (2, 6, 2), "20 20 80 80"),
+        ("ur5e", (3, 6, 6), "200 200 200 300 300 300"),
+        ("iiwa14", (4, 5, 7), "300 -100 300 -0.5 400 100 400 0.5"),
+        ("ur5e", (6, 5, 6), "300 -100 300 -0.1 -0.1 -0.1 400 0 400 0.1 0.1 0.1"),
+    ],
+)
+def test_two_to_six_coordinates(tmp_path, robot, widths, box):
+    save(tmp_path / "net.pt", widths)
+    text = certify(
+        f"--weights {tmp_path / 'net.pt'} --activation tanh --robot {ROBOTS / robot}.urdf "
+        f"--box {box} --input-unit m --rtol 0.1"
+    )
+    upper, lower, at = bounds(text)
+    assert len(at) == widths[0]
+    assert lower <= upper <= 1.1001 * lower
+
+
+def test_a_search_that_is_stopped_ends_with_a_checked_bound(net):
+    start = f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX} {SCALED}"
+    whole = bounds(certify(f"{start} --rtol 1e-6"))
+    for limit in ("--time-limit 0", "--max-boxes 1"):
+        text = certify(f"{start} --rtol 1e-6 {limit}")
+        assert "stopped early" in text
+        assert bounds(text)[0] >= whole[1]
+
+
+def test_what_is_not_proved_is_not_said(net, monkeypatch):
+    import iksamples.certify.checker as checker
+
+    monkeypatch.setattr(checker, "_largest", lambda *_: np.inf)
+    text = certify(
+        f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX} {SCALED}", code=1
+    )
+    assert "NOT PROVED" in text
+    assert "no position" not in text
+    assert "Proved" not in text
+
+
+def test_the_order_that_was_read_is_said(net):
+    text = certify(f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX}")
+    assert "3 inputs, 0 (8), tanh, 2 (3), 3 outputs" in text
+    assert "in mm" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        ("--box 20 20 0 80 80", "--box has 5 numbers"),
+        ("--box 0 80", "--box has 2 numbers"),
+        ("--box 20 20 0 80 80 0", "--box.*empty"),
+        ("--box 20 20 0 nan 80 60", "--box"),
+        ("--box 20,20,x,80,80,60", "--box: 'x' is not a number"),
+        (f"{BOX} --offset-mm 1 2", "--offset-mm has 2 numbers; one per coordinate"),
+        (f"{BOX} --scale-mm 1 0 1", "zero"),
+        (f"{BOX} --scale-mm 1 inf 1", "not finite"),
+        (f"{BOX} --input-unit m --scale-mm 1 1 1", "leave out --input-unit"),
+        (f"{BOX} --input-unit km", "give mm or m"),
+        (f"{BOX} --output-unit turns", "give rad, deg"),
+        (f"{BOX} --output-unit m", "no prismatic joint"),
+        (f"{BOX} --output-unit deg --output-unit rad", "two units"),
+        (f"{BOX} --output-scale 1", "--output-scale has 1 numbers; one per joint"),
+        (f"{BOX} --output-scale 0,1,x", "--output-scale"),
+        (f"{BOX} --tip-link nowhere", "nowhere"),
+        (f"{BOX} --base-link nowhere", "nowhere"),
+        ("--box 20 20 80 80", "takes 3 values and answers 3; the box has 2 coordinates"),
+    ],
+)
+def test_a_line_says_what_is_wrong(net, words, match):
+    with pytest.raises(IksamplesError, match=match) as caught:
+        certify(f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {words}")
+    assert "\n" not in str(caught.value)
+
+
+def test_tiny_scales_are_no_traceback(net):
+    """What no float64 can hold is refused."""
+    start = f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX}"
+    try:
+        certify(f"{start} --scale-mm 1e-310 1 1 --max-boxes 1", code=1)
+    except IksamplesError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+def test_progress_is_said_after_a_second(capsys):
+    import time
+
+    from iksamples.cli.certify import _shown
+
+    with _shown("thinking"):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+    with _shown("thinking"):
+        time.sleep(1.3)
+    captured = capsys.readouterr()
+    assert "1 s: thinking ..." in captured.err
+    assert captured.out == ""
