@@ -134,10 +134,11 @@ def test_neighbours_on_two_branches_are_seen(chain):
     home = yaw_pitch_pitch(chain, [[50.0, 50, 30]])[0]
     x = np.array([[50.0, 50, 30], [51, 50, 30], [52, 50, 30]])
     solution = solve(chain, Target(), x, home=home)
-    assert not jumps(solution, [[0, 1], [1, 2]]).any()
+    assert not jumps(solution, [3]).any()
     other = yaw_pitch_pitch(chain, x[2:], "positive")
-    torn = replace(solution, joints=np.concatenate([solution.joints[:2], other]))
-    assert jumps(torn, [[0, 1], [1, 2]]).tolist() == [False, True]
+    within = np.ones(3, bool)
+    torn = replace(solution, joints=np.concatenate([solution.joints[:2], other]), in_limits=within)
+    assert jumps(torn, [3]).tolist() == [False, True, True]
 
 
 def brute_force(usable, axes):

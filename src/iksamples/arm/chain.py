@@ -140,11 +140,15 @@ class SerialChain:
             base frame per joint's speed [1, or 0 where the joint is prismatic], each of shape
             (..., 3, joints).
         """
-        axes, origins, tip, _ = self._frames(joints)
+        return self.pose_and_jacobians(joints)[2:]
+
+    def pose_and_jacobians(self, joints: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+        """`pose` and `jacobians` together, for little more than either takes."""
+        axes, origins, tip, rotation = self._frames(joints)
         turns = (np.array(self.joint_kinds) == "revolute")[:, None]
         linear = np.where(turns, np.cross(axes, tip[..., None, :] - origins), axes)
         angular = np.where(turns, axes, 0.0)
-        return np.swapaxes(linear, -1, -2), np.swapaxes(angular, -1, -2)
+        return tip, rotation, np.swapaxes(linear, -1, -2), np.swapaxes(angular, -1, -2)
 
     def within_limits(self, joints: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each joint vector lies inside the joint limits.

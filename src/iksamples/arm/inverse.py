@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.arm import newton
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.closed_form import Elbow, fits_yaw_pitch_pitch, yaw_pitch_pitch
+from iksamples.arm.newton import Follower
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
 
@@ -32,14 +32,15 @@ class Solution:
         chain: The arm.
         target: What an input asks of the tool.
         x: The inputs [mm or rad], shape (points, inputs).
-        home: The posture that names the branch [rad or mm], shape (joints,), or None.
+        home: The posture that the labels were followed from [rad or mm], shape (joints,); None:
+            they are of a closed form.
         locked: Joints that stay at home, by index.
         joints: Joint values on the one branch [rad or mm], shape (points, joints); NaN out of
             reach.
         in_reach: The tool is where it is wanted, shape (points,).
         in_limits: In reach and inside the joint limits, shape (points,).
         smallest_singular_mm: Smallest singular value of the Jacobian of what is asked for [mm/rad]
-            (`newton.task_jacobian_mm`), 0 out of reach, shape (points,).
+            (`newton.Follower.jacobian_mm`), 0 out of reach, shape (points,).
         singular: In reach, and that singular value is below the threshold, shape (points,).
     """
 
@@ -78,7 +79,8 @@ class Solution:
         """In words, why a point is not usable."""
         where = _in_words(self.target, self.x[point])
         if not self.in_reach[point]:
-            return f"{where} is out of reach"
+            unsure = "" if self.home is None else ", or a singularity lies between it and home"
+            return f"{where} is out of reach{unsure}"
         if not self.in_limits[point]:
             worst = int(np.argmin(self.limit_distances[point]))
             low, high, unit = (
@@ -154,25 +156,24 @@ def solve(
                 "robot.inverse: 'yaw-pitch-pitch' places the tool at (x, y, z) with no joint "
                 "locked; for anything else say newton."
             )
-        joints = yaw_pitch_pitch(chain, x, elbow, start)
-        in_reach = np.asarray(~np.isnan(joints).any(axis=-1))
-        jacobians = chain.jacobian_mm(joints[in_reach])
+        start, joints = None, yaw_pitch_pitch(chain, x, elbow, start)
+        in_reach = _arrived(chain, target, joints, x)
+        singular_values = np.linalg.svd(chain.jacobian_mm(joints[in_reach]), compute_uv=False)
+        smallest = singular_values[..., -1]
     else:
         if start is None:
             raise IksamplesError(
                 "robot.home_rad: this arm's labels are followed from a home posture; give a value "
                 f"for each of {', '.join(chain.joint_names)}, with the tool amid the workspace."
             )
-        joints = newton.follow(chain, target, x, start, held)
+        follower = Follower(chain, target, start, held)
+        joints = follower.follow(x)
         in_reach = _arrived(chain, target, joints, x)
-        jacobians = newton.task_jacobian_mm(chain, target, joints[in_reach], start, held)
-        at_home = newton.task_jacobian_mm(chain, target, start[None], start, held)[0]
-        same = _same_side(jacobians, at_home)
-        in_reach[in_reach], jacobians = same, jacobians[same]
-        joints[~in_reach] = np.nan
-    in_limits = in_reach & chain.within_limits(joints)
-    smallest = np.zeros(len(x))
-    smallest[in_reach] = np.linalg.svd(jacobians, compute_uv=False)[..., -1]
+        in_reach[in_reach] = follower.same_side(joints[in_reach])
+        smallest = follower.smallest_singular_mm(joints[in_reach])
+    joints[~in_reach] = np.nan
+    values = np.zeros(len(x))
+    values[in_reach] = smallest
     return Solution(
         chain,
         target,
@@ -181,35 +182,46 @@ def solve(
         held,
         joints,
         in_reach,
-        in_limits,
-        smallest,
-        in_reach & np.less(smallest, min_singular_value_mm),
+        in_reach & chain.within_limits(joints),
+        values,
+        in_reach & np.less(values, min_singular_value_mm),
     )
 
 
-def jumps(solution: Solution, pairs: ArrayLike) -> Flags:
-    """Between which neighbours the joints jump: the label of one is not found from the other.
+def jumps(solution: Solution, shape: Sequence[int]) -> Flags:
+    """At which points of a lattice the joints jump to a usable neighbour along an axis.
+
+    There the label of one is not found when the tool is led over from the other: both were followed
+    from home, but on two sides of something that the arm cannot pass.
 
     Args:
-        solution: Labels, in reach at the points of the pairs.
-        pairs: Neighbours, by index, shape (pairs, 2).
+        solution: Labels of a lattice, its last axis running fastest.
+        shape: Points of the lattice along each axis.
 
     Returns:
-        Shape (pairs,).
+        Shape (points,); False where a point is not usable itself.
     """
-    first, second = np.asarray(pairs, int).T
-    start = solution.joints[first]
-    found = newton.follow(
-        solution.chain,
-        solution.target,
-        solution.x[second],
-        np.nanmean(solution.joints, axis=0) if solution.home is None else solution.home,
-        solution.locked,
-        start,
+    index = np.arange(len(solution.x)).reshape(shape)
+    pairs = np.concatenate(
+        [
+            np.stack([index.take(range(n - 1), axis), index.take(range(1, n), axis)], -1).reshape(
+                -1, 2
+            )
+            for axis, n in enumerate(shape)
+        ]
     )
-    label = solution.joints[second]
+    first, second = pairs[solution.usable[pairs].all(axis=-1)].T
+    jumping = np.zeros(len(solution.x), bool)
+    if first.size == 0:
+        return jumping
+    start, label = solution.joints[first], solution.joints[second]
+    home = np.nanmean(solution.joints, axis=0) if solution.home is None else solution.home
+    follower = Follower(solution.chain, solution.target, home, solution.locked)
+    found = follower.follow(solution.x[second], start)
     # Along a branch both agree to rounding; a jump is no smaller than what the joints moved.
-    return ~(_largest(found - label) <= 1e-3 * (1e-3 + _largest(label - start)))
+    torn = ~(_largest(found - label) <= 1e-3 * (1e-3 + _largest(label - start)))
+    jumping[first[torn]] = jumping[second[torn]] = True
+    return jumping
 
 
 def largest_usable_box(
@@ -264,14 +276,7 @@ def _arrived(chain: SerialChain, target: Target, joints: Floats, x: Floats) -> F
     arrived = target.position_error_mm(chain, joints, x) <= POSITION_MM
     if target.orientation != "free":
         arrived &= target.angle_error_rad(chain, joints, x) <= ANGLE_RAD
-    return arrived
-
-
-def _same_side(jacobians: Floats, home: Floats) -> Flags:
-    """Whether no singularity was crossed an odd number of times, where that can be told."""
-    if home.shape[0] != home.shape[1]:
-        return np.ones(len(jacobians), bool)
-    return np.sign(np.linalg.det(jacobians)) == np.sign(np.linalg.det(home))
+    return np.asarray(arrived)
 
 
 def _largest(values: Floats) -> Floats:

@@ -1,23 +1,22 @@
 """Numeric inverse kinematics of any chain, followed from a home posture.
 
 The tool is led in small steps along a straight line (its rotation along a geodesic) from where it
-is at home to where it is wanted, and the joints follow by Newton's method. So the answer is a
-function of what is wanted: the branch is that of the home posture as long as no singularity lies on
-the way. An arm with more joints than it needs takes, of all joint values that do it, those nearest
-to home: ``q <- q + d + J^+ (e - J d)`` with ``d = home - q`` is Newton's method with a Gauss-Newton
-Hessian for that problem (Nocedal and Wright, *Numerical Optimization*, ch. 18).
+is at home to where it is wanted, and the joints follow by Newton's method; a step is taken only
+when the tool has kept up with those before. So the answer is a function of what is wanted: the
+branch is that of the home posture, as long as no singularity lies on the way. An arm with joints to
+spare takes, of all joint values that do it, those nearest to home: ``q <- q + d + J^+ (e - J d)``
+with ``d = home - q`` is Newton's method with a Gauss-Newton Hessian for that problem (Nocedal and
+Wright, *Numerical Optimization*, ch. 18).
 
 Everything is batched over the points. Joints in mm and errors in rad are weighed against the others
 by the arm's length.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.target import Target
+from iksamples.arm.target import COORDINATES, Target
 
 
 STEP = 0.1
@@ -25,184 +24,202 @@ STEP = 0.1
 CAP = 0.3
 """Largest change of a joint in one iteration [rad, or fractions of the arm's length]."""
 ITERATIONS = 100
-"""Newton steps at the end of the way before a point is given up."""
+"""Newton steps, beyond one for each step of the way, before a point is given up."""
+RANK = 1e-5
+"""A motion of the tool that needs this many times more of the joints than another is impossible."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Which of the tool's motions a target asks for.
+class Follower:
+    """Solves for a target, from a home posture.
 
     Attributes:
-        positions: Which of x, y and z.
-        turns: Directions in the base frame about which the tool's turn is asked for, as rows; None:
-            the two across the tool's axis, which change with the joints.
+        length_mm: The arm's length [mm]: root mean square distance of the tool from the revolute
+            axes at home; 100 for an arm that only slides. It makes an angle comparable with a
+            distance (a characteristic length: Angeles, *Fundamentals of Robotic Mechanical
+            Systems*, sec. 5.8).
+        rank: How many independent motions of the tool the target asks for: fewer than it names
+            where the arm cannot leave what is asked, as a planar arm its plane.
     """
 
-    positions: tuple[int, ...]
-    turns: Floats | None
+    def __init__(
+        self, chain: SerialChain, target: Target, home: ArrayLike, locked: tuple[int, ...] = ()
+    ) -> None:
+        """Prepares the solver.
 
+        Args:
+            chain: The arm.
+            target: What an input asks of the tool.
+            home: The posture to start from and to stay near to [rad or mm], shape (joints,).
+            locked: Joints that stay at home, by index.
+        """
+        self._chain, self._target, self._home = chain, target, np.asarray(home, float)
+        self._free = [i for i in range(chain.n_joints) if i not in locked]
+        linear, angular = chain.jacobians(self._home)
+        levers = _norm(linear.T)[_norm(angular.T) > 0]
+        self.length_mm = float(np.sqrt(np.mean(levers**2))) if np.any(levers) else 100.0
+        self._weight = np.where(np.array(chain.joint_units) == "mm", self.length_mm, 1.0)
+        self.rank = 0
+        self.rank = self._generic_rank()
 
-def length_mm(chain: SerialChain, home: ArrayLike) -> float:
-    """The arm's length [mm]: root mean square distance of the tool from the revolute axes at home.
+    def follow(self, x: ArrayLike, start: ArrayLike | None = None) -> Floats:
+        """Joint values that do what the inputs ask.
 
-    It makes an angle comparable with a distance (the idea of a characteristic length: Angeles,
-    *Fundamentals of Robotic Mechanical Systems*, sec. 5.8). 100 mm for an arm that only slides.
-    """
-    linear, angular = chain.jacobians(home)
-    levers = np.linalg.norm(linear, axis=0)[np.linalg.norm(angular, axis=0) > 0]
-    length = float(np.sqrt(np.mean(levers**2))) if levers.size else 0.0
-    return length or 100.0
+        Args:
+            x: Inputs [mm or rad], shape (points, inputs).
+            start: The joints to start from [rad or mm], shape (points, joints); None: home.
 
+        Returns:
+            Joint values [rad or mm], shape (points, joints); NaN where the tool cannot be led.
+        """
+        position, rotation = self._target.wanted(x)
+        shape = (len(position), self._chain.n_joints)
+        joints = np.array(np.broadcast_to(self._home if start is None else start, shape))
+        start_position, start_rotation = self._chain.pose(joints)
+        travel, turn = position - start_position, self._turn(start_rotation, rotation)
+        far = np.maximum(_norm(travel[:, self._target.positions]) / self.length_mm, _norm(turn))
+        n_steps = np.ceil(far / STEP).clip(1, 1000)
 
-def follow(
-    chain: SerialChain,
-    target: Target,
-    x: ArrayLike,
-    home: ArrayLike,
-    locked: tuple[int, ...] = (),
-    start: ArrayLike | None = None,
-) -> Floats:
-    """Joint values that do what the inputs ask, followed from a home posture.
+        def aim(points: NDArray[np.intp]) -> tuple[Floats, Floats]:
+            done = (taken[points] / n_steps[points])[:, None]
+            on_the_way = _rotation(done * turn[points]) @ start_rotation[points]
+            last = done >= 1
+            return (
+                np.where(last, position[points], start_position[points] + done * travel[points]),
+                np.where(last[..., None], rotation[points], on_the_way),
+            )
 
-    Args:
-        chain: The arm.
-        target: What an input asks of the tool.
-        x: Inputs [mm or rad], shape (points, inputs).
-        home: The posture to stay near to [rad or mm], shape (joints,).
-        locked: Joints that stay at home, by index.
-        start: The joints to start from [rad or mm], shape (points, joints); None: home.
+        taken, iteration = np.ones(len(joints)), 0
+        active = np.arange(len(joints))
+        while active.size:
+            iteration += 1
+            now, rotated, jacobian = self._linearised(joints[active])
+            behind = _norm(self._error(now, rotated, *aim(active)))
+            taken[active] = np.minimum(taken[active] + (behind < STEP / 2), n_steps[active])
+            error = self._error(now, rotated, *aim(active))
+            to_home = ((self._home - joints[active]) / self._weight)[:, self._free]
+            step = np.zeros_like(joints[active])
+            step[:, self._free] = self._step(jacobian, error, to_home)
+            largest = np.max(np.abs(step), axis=-1)
+            step *= np.minimum(1.0, CAP / np.maximum(largest, CAP))[:, None]
+            joints[active] += step * self._weight
+            arrived = (taken[active] == n_steps[active]) & (largest < 1e-12)
+            given_up = (iteration > n_steps[active] + ITERATIONS) | ~np.isfinite(largest)
+            joints[active[given_up & ~arrived]] = np.nan
+            active = active[~(arrived | given_up)]
+        return joints
 
-    Returns:
-        Joint values [rad or mm], shape (points, joints); NaN where the iteration does not end.
-    """
-    x, home = np.asarray(x, float), np.asarray(home, float)
-    joints = np.array(np.broadcast_to(home if start is None else start, (len(x), chain.n_joints)))
-    length, rows = length_mm(chain, home), _rows(chain, target, home)
-    weight = _weights(chain, length)
-    free = _free(chain, locked)
-    position, rotation = target.wanted(x)
-    start_position, start_rotation = chain.pose(joints)
-    travel = position - start_position
-    turn = _turn(target, start_rotation, rotation)
-    far = np.maximum(_norm(travel[:, list(rows.positions)]) / length, _norm(turn))
-    n_steps = np.ceil(far / STEP).clip(1, 1000)
+    def jacobian_mm(self, joints: ArrayLike) -> Floats:
+        """Jacobian of what is asked for.
 
-    active = np.arange(len(x))
-    iteration = 0
-    while active.size:
-        iteration += 1
-        done = np.minimum(iteration / n_steps[active], 1.0)[:, None]
-        aim = np.where(done < 1, start_position[active] + done * travel[active], position[active])
-        facing = np.where(
-            done[..., None] < 1,
-            _rotation(done * turn[active]) @ start_rotation[active],
-            rotation[active],
+        Args:
+            joints: Joint values [rad or mm], shape (points, joints).
+
+        Returns:
+            Shape (points, rows, free joints) [mm/rad]: angles, and the columns of prismatic joints,
+            times the arm's length.
+        """
+        return self._linearised(np.asarray(joints, float))[2] * self.length_mm
+
+    def smallest_singular_mm(self, joints: ArrayLike) -> Floats:
+        """Smallest singular value of that Jacobian, of those that the arm can have [mm/rad].
+
+        Args:
+            joints: Joint values [rad or mm], shape (points, joints).
+
+        Returns:
+            Shape (points,).
+        """
+        values = np.linalg.svd(self.jacobian_mm(joints), compute_uv=False)
+        return np.asarray(values[..., self.rank - 1], float)
+
+    def same_side(self, joints: ArrayLike) -> NDArray[np.bool_]:
+        """Whether no singularity was crossed an odd number of times, where that can be told.
+
+        Args:
+            joints: Joint values [rad or mm], shape (points, joints).
+
+        Returns:
+            Shape (points,): the Jacobian's determinant, where it has one, has its sign at home.
+        """
+        jacobians = self.jacobian_mm(np.concatenate([self._home[None], joints]))
+        n_rows, n_columns = jacobians.shape[-2:]
+        if not self.rank == n_rows == n_columns:
+            return np.ones(len(jacobians) - 1, bool)
+        signs = np.sign(np.linalg.det(jacobians))
+        return np.asarray(signs[1:] == signs[0])
+
+    def _generic_rank(self) -> int:
+        """Rank of the Jacobian at labels around home; a singularity there is no reason for less."""
+        position, rotation = self._chain.pose(self._home)
+        m = rotation @ self._target.reference_rotation.T
+        roll, yaw = np.arctan2(m[2, 1], m[2, 2]), np.arctan2(m[1, 0], m[0, 0])
+        at_home = dict(
+            zip(COORDINATES, [*position, roll, -np.arcsin(m[2, 0].clip(-1, 1)), yaw], strict=True)
         )
-        error, jacobian = _linearised(chain, target, rows, joints[active], aim, facing, length)
-        step = np.zeros_like(joints[active])
-        step[:, free] = _step(
-            (jacobian * weight)[..., free], error, ((home - joints[active]) / weight)[:, free]
+        scale = np.where(np.array(self._target.units) == "mm", self.length_mm, 1.0)
+        around = np.random.default_rng(0).uniform(-0.02, 0.02, (8, len(scale))) * scale
+        joints = self.follow(np.array([at_home[name] for name in self._target.names]) + around)
+        joints = joints[~np.isnan(joints).any(axis=-1)]
+        values = np.linalg.svd(self.jacobian_mm(joints), compute_uv=False)
+        if not len(values):
+            return int(values.shape[-1])
+        return int(np.max(np.sum(values > RANK * values[:, :1], axis=-1)))
+
+    def _linearised(self, joints: Floats) -> tuple[Floats, Floats, Floats]:
+        """The tool's position and rotation, and the Jacobian of what is asked, in arm lengths."""
+        position, rotation, linear, angular = self._chain.pose_and_jacobians(joints)
+        rows = [linear[:, self._target.positions] / self.length_mm]
+        if self._target.orientation == "fixed":
+            rows.append(angular)
+        elif self._target.orientation == "axis":
+            rows.append(np.swapaxes(rotation, -1, -2)[:, :2] @ angular)
+        jacobian = np.concatenate(rows, axis=-2) * self._weight
+        return position, rotation, jacobian[..., self._free]
+
+    def _error(self, now: Floats, rotated: Floats, position: Floats, rotation: Floats) -> Floats:
+        """What is missing, in arm lengths and rad, in the order of the Jacobian's rows."""
+        error = (position - now)[:, self._target.positions] / self.length_mm
+        if self._target.orientation == "free":
+            return error
+        turn = self._turn(rotated, rotation)
+        if self._target.orientation == "axis":
+            turn = _times(np.swapaxes(rotated, -1, -2)[:, :2], turn)
+        return np.concatenate([error, turn], axis=-1)
+
+    def _step(self, jacobian: Floats, error: Floats, to_home: Floats) -> Floats:
+        """Newton's step, towards home where the arm has joints to spare."""
+        n_rows, n_joints = jacobian.shape[-2:]
+        transposed = np.swapaxes(jacobian, -1, -2)
+        if self.rank == n_rows == n_joints:
+            return _solve(jacobian, error)
+        if self.rank == n_rows:
+            wanted = error - _times(jacobian, to_home)
+            return to_home + _times(transposed, _solve(jacobian @ transposed, wanted))
+        if self.rank == n_joints:
+            return _solve(transposed @ jacobian, _times(transposed, error))
+        # Rows that depend on each other, or (rank 0) not known yet.
+        left, values, right = np.linalg.svd(jacobian, full_matrices=False)
+        kept = (
+            np.arange(values.shape[-1]) < self.rank if self.rank else values > RANK * values[:, :1]
         )
-        largest = np.max(np.abs(step), axis=-1, keepdims=True)
-        step *= np.minimum(1.0, CAP / np.maximum(largest, CAP))
-        joints[active] += step * weight
-        arrived = (done[:, 0] == 1) & (largest[:, 0] < 1e-12)
-        given_up = (iteration > n_steps[active] + ITERATIONS) | ~np.isfinite(largest[:, 0])
-        joints[active[given_up & ~arrived]] = np.nan
-        active = active[~(arrived | given_up)]
-    return joints
+        inverse = np.where(kept, 1 / np.where(kept & (values > 0), values, 1.0), 0.0)
+        wanted = _times(np.swapaxes(left, -1, -2), error - _times(jacobian, to_home))
+        return to_home + _times(np.swapaxes(right, -1, -2), inverse * wanted)
 
-
-def task_jacobian_mm(
-    chain: SerialChain,
-    target: Target,
-    joints: ArrayLike,
-    home: ArrayLike,
-    locked: tuple[int, ...] = (),
-) -> Floats:
-    """Jacobian of what is asked for, with angles times the arm's length.
-
-    Args:
-        chain: The arm.
-        target: What an input asks of the tool.
-        joints: Joint values [rad or mm], shape (points, joints).
-        home: The home posture [rad or mm], shape (joints,).
-        locked: Joints that stay at home, by index; they have no column.
-
-    Returns:
-        ``J`` [mm/rad], shape (points, rows, free joints): as many rows as the arm can be asked for,
-        and a prismatic joint's column times the arm's length.
-    """
-    q = np.asarray(joints, float)
-    length = length_mm(chain, home)
-    rows = _rows(chain, target, np.asarray(home, float))
-    position, rotation = chain.pose(q)
-    jacobian = _linearised(chain, target, rows, q, position, rotation, length)[1]
-    return (jacobian * _weights(chain, length))[..., _free(chain, locked)] * length
-
-
-def _weights(chain: SerialChain, length: float) -> Floats:
-    """What one unit of the iteration is of each joint: 1 rad, or the arm's length in mm."""
-    return np.where(np.array(chain.joint_units) == "mm", length, 1.0)
-
-
-def _free(chain: SerialChain, locked: tuple[int, ...]) -> list[int]:
-    return [i for i in range(chain.n_joints) if i not in locked]
-
-
-def _rows(chain: SerialChain, target: Target, home: Floats) -> _Rows:
-    """An arm whose axes are parallel turns its tool about them alone."""
-    if target.orientation == "free":
-        return _Rows(target.positions, np.zeros((0, 3)))
-    axes = chain.axes[np.array(chain.joint_kinds) == "revolute"]
-    parallel = len(axes) > 0 and bool(np.all(_norm(np.cross(axes, axes[0])) < 1e-9))
-    if target.orientation == "fixed":
-        return _Rows(target.positions, axes[:1] if parallel else np.eye(3))
-    if not parallel:
-        return _Rows(target.positions, None)
-    along = _norm(np.cross(chain.rotation(home)[:, 2], axes[0])) < 1e-9
-    return _Rows(target.positions, axes[:0] if along else axes[:1])
-
-
-def _linearised(
-    chain: SerialChain,
-    target: Target,
-    rows: _Rows,
-    joints: Floats,
-    position: Floats,
-    rotation: Floats,
-    length: float,
-) -> tuple[Floats, Floats]:
-    """What is missing, in arm lengths and rad, shape (points, rows), and its Jacobian."""
-    now_position, now_rotation = chain.pose(joints)
-    linear, angular = chain.jacobians(joints)
-    chosen = list(rows.positions)
-    error = (position - now_position)[:, chosen] / length
-    jacobian = linear[:, chosen] / length
-    if rows.turns is not None and not len(rows.turns):
-        return error, jacobian
-    turn = _turn(target, now_rotation, rotation)
-    turns = (
-        np.swapaxes(now_rotation, -1, -2)[:, :2]
-        if rows.turns is None
-        else np.broadcast_to(rows.turns, (len(joints), *rows.turns.shape))
-    )
-    return (
-        np.concatenate([error, (turns @ turn[..., None])[..., 0]], axis=-1),
-        np.concatenate([jacobian, turns @ angular], axis=-2),
-    )
-
-
-def _step(jacobian: Floats, error: Floats, to_home: Floats) -> Floats:
-    """Newton's step, towards home where the arm has joints to spare."""
-    n_rows, n_joints = jacobian.shape[-2:]
-    transposed = np.swapaxes(jacobian, -1, -2)
-    if n_rows < n_joints:
-        normal, wanted = jacobian @ transposed, error - _times(jacobian, to_home)
-        return to_home + _times(transposed, _solve(normal, wanted))
-    if n_rows == n_joints:
-        return _solve(jacobian, error)
-    return _solve(transposed @ jacobian, _times(transposed, error))
+    def _turn(self, now: Floats, wanted: Floats) -> Floats:
+        """The turn still to be made, as rotation vectors in the base frame [rad], (..., 3)."""
+        if self._target.orientation == "free":
+            return np.zeros(now.shape[:-1])
+        if self._target.orientation == "axis":
+            a, b = now[..., 2], wanted[..., 2]
+            cross, cosine = np.cross(a, b), np.sum(a * b, axis=-1, keepdims=True)
+        else:
+            m = wanted @ np.swapaxes(now, -1, -2)
+            skew = m - np.swapaxes(m, -1, -2)
+            cross = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1) / 2
+            cosine = (np.trace(m, axis1=-2, axis2=-1)[..., None] - 1) / 2
+        sine = np.linalg.norm(cross, axis=-1, keepdims=True)
+        return cross * np.where(sine > 0, np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1), 1)
 
 
 def _solve(matrix: Floats, right: Floats) -> Floats:
@@ -218,28 +235,6 @@ def _times(matrix: Floats, vector: Floats) -> Floats:
 
 def _norm(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1), float)
-
-
-def _turn(target: Target, now: Floats, wanted: Floats) -> Floats:
-    """The turn still to be made, as rotation vectors in the base frame [rad], shape (..., 3)."""
-    if target.orientation == "free":
-        return np.zeros(now.shape[:-1])
-    if target.orientation == "axis":
-        a, b = now[..., 2], wanted[..., 2]
-        cross, cosine = np.cross(a, b), np.sum(a * b, axis=-1, keepdims=True)
-    else:
-        between = wanted @ np.swapaxes(now, -1, -2)
-        cross = np.stack(
-            [
-                between[..., 2, 1] - between[..., 1, 2],
-                between[..., 0, 2] - between[..., 2, 0],
-                between[..., 1, 0] - between[..., 0, 1],
-            ],
-            axis=-1,
-        )  # fmt: skip
-        cross, cosine = cross / 2, (np.trace(between, axis1=-2, axis2=-1)[..., None] - 1) / 2
-    sine = np.linalg.norm(cross, axis=-1, keepdims=True)
-    return cross * np.where(sine > 0, np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1), 1)
 
 
 def _rotation(vectors: Floats) -> Floats:
