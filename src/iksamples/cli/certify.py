@@ -131,7 +131,7 @@ def certify(
     from iksamples.certify.printing import point, rounded_down, rounded_up
     from iksamples.certify.readers.network import load_network
     from iksamples.certify.readers.units import fed_as, read_as
-    from iksamples.certify.rounding import FLOAT64, inference_slack_mm, rounding_slack_mm
+    from iksamples.certify.rounding import inference_slack_mm, search_slack_mm
     from iksamples.certify.search import certify_stack
 
     region = _box(box)
@@ -160,7 +160,7 @@ def certify(
     typer.echo(f"Read {weights}: {reading.order}.")
     slack_mm = np.zeros(network.n_seeds)
     if not reading.exact:  # half a unit in the last place of each number, which this allows for
-        slack_mm = rounding_slack_mm(Layers.of(network), Linkage.of(chain), region, FLOAT64)
+        slack_mm = search_slack_mm(Layers.of(network), Linkage.of(chain), region)
     with _shown(f"searching, for at most {time_limit * network.n_seeds:g} s"):
         proofs = certify_stack(
             network,
