@@ -5,7 +5,7 @@ import pytest
 
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
-from iksamples.evaluation.paths import require_reachable, waypoints_mm
+from iksamples.evaluation.paths import require_reachable, waypoints
 from iksamples.network import StackedMLP
 from iksamples.samples.record import region_points
 from iksamples.study import DoubleRectangle, Heart, parse_study
@@ -25,8 +25,26 @@ def constant_network(joints, seeds=(0,)):
     )
 
 
-def test_rectangles_run_around_both_heights():
-    points = waypoints_mm(DoubleRectangle(shape="double_rectangle", waypoints=82))
+def in_plane():
+    """The task of a planar arm, (x, y)."""
+    return study_task(
+        parse_study(
+            {
+                "name": "plane",
+                "robot": {
+                    "urdf": "config/robots/planar2r.urdf",
+                    "home_rad": {"shoulder": 0.5, "elbow": 1.2},
+                },
+                "task": {"inputs": ["x", "y"]},
+                "workspace": {"lower_mm": [60, 20], "upper_mm": [120, 80]},
+            }
+        )
+    )
+
+
+def test_rectangles_run_around_both_heights(task):
+    points, pen_up = waypoints(DoubleRectangle(shape="double_rectangle", waypoints=82), task)
+    assert np.flatnonzero(pen_up).tolist() == [41]
     low, high = points[:41], points[41:]
     for half, height in ((low, 10), (high, 50)):
         assert set(half[:, 2]) == {height}
@@ -37,9 +55,10 @@ def test_rectangles_run_around_both_heights():
             assert np.abs(half[:, :2] - corner).sum(axis=1).min() < 1e-9
 
 
-def test_heart_closes_has_its_width_and_lies_in_its_plane():
+def test_heart_closes_has_its_width_and_lies_in_its_plane(task):
     heart = Heart(shape="heart", centre_mm=(50, 50, 30), width_mm=40, tilt_rad=0.6)
-    points = waypoints_mm(heart)
+    points, pen_up = waypoints(heart, task)
+    assert not pen_up.any()
     np.testing.assert_allclose(points[0], points[-1], atol=1e-9)
     assert np.ptp(points[:, 0]) == pytest.approx(40, rel=1e-3)
     normal = np.array([0, -np.sin(0.6), np.cos(0.6)])
@@ -51,7 +70,7 @@ def test_heart_closes_has_its_width_and_lies_in_its_plane():
 def test_default_paths_lie_in_the_cube(study, task):
     require_reachable(study, task)
     for path in study.evaluation.paths.values():
-        points = waypoints_mm(path)
+        points = waypoints(path, task).x
         assert (points > study.workspace.lower_mm).all()
         assert (points < study.workspace.upper_mm).all()
 
@@ -75,15 +94,13 @@ def test_summary_is_over_points_within_a_seed(study, chain):
         update={"evaluation": study.evaluation.model_copy(update={"cube_points": 64})}
     )
     network = constant_network(np.radians([45, -60, -90]), seeds=(7, 3))
-    waypoints, cube = (
-        track_paths(study.evaluation, study_task(study), network),
-        cube_errors(study.evaluation, study_task(study), network),
-    )
-    table = summarise(waypoints, cube).set_index(["region", "seed"])
+    tracked = track_paths(study.evaluation, study_task(study), network)
+    cube = cube_errors(study.evaluation, study_task(study), network)
+    table = summarise(tracked, cube).set_index(["region", "seed"])
     assert set(table.index) == {(r, s) for r in ("rectangles", "heart", "cube") for s in (3, 7)}
     reached = chain.forward_mm(network.predict(np.zeros((1, 3)))[0, 0])
     for region, points in (
-        ("heart", waypoints_mm(study.evaluation.paths["heart"])),
+        ("heart", waypoints(study.evaluation.paths["heart"], study_task(study)).x),
         ("cube", region_points(study_task(study).region, 64)),
     ):
         error = np.linalg.norm(points - reached, axis=1)
@@ -91,8 +108,58 @@ def test_summary_is_over_points_within_a_seed(study, chain):
         assert row["error_mean_mm"] == pytest.approx(error.mean(), rel=1e-6)
         assert row["error_p95_mm"] == pytest.approx(np.percentile(error, 95), rel=1e-6)
         assert row["error_max_mm"] == pytest.approx(error.max(), rel=1e-6)
-    one = waypoints.query("path == 'heart' and seed == 7")
+    one = tracked.query("path == 'heart' and seed == 7")
     assert len(one) == study.evaluation.paths["heart"].waypoints
     reached_mm = one[["reached_x_mm", "reached_y_mm", "reached_z_mm"]].to_numpy()
     joints = one[["q_yaw_rad", "q_shoulder_rad", "q_elbow_rad"]].to_numpy()
     np.testing.assert_allclose(chain.forward_mm(joints), reached_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", ["double_rectangle", "heart", "circle", "lemniscate", "helix"])
+def test_every_path_fits_every_workspace(shape, task):
+    """A path that says nothing of its size lies in the workspace, and closes but for the helix."""
+    paths = {"p": {"shape": shape}}
+    path = parse_study({"name": "x", "evaluation": {"paths": paths}}).evaluation.paths["p"]
+    for one in (task, in_plane()):
+        if shape == "helix" and len(one.x) == 2:
+            with pytest.raises(IksamplesError, match="a helix needs z"):
+                waypoints(path, one)
+            continue
+        x, pen_up = waypoints(path, one)
+        assert x.shape == (path.waypoints, len(one.x))
+        assert one.region.contains(x).all()
+        assert np.ptp(x, axis=0)[:2].min() > 5
+        for stroke in np.split(x, np.flatnonzero(pen_up)):
+            assert np.allclose(stroke[0, :2], stroke[-1, :2])
+            steps = np.linalg.norm(np.diff(stroke, axis=0), axis=1)
+            assert steps.max() < 6
+
+
+def test_waypoints_from_a_file_are_in_its_units(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("y_m, x_cm, pen_up, note\n0.03, 7, 0, a\n0.04, 8, 1, b\n")
+    path = {"shape": "csv", "file": str(file)}
+    study = parse_study({"name": "x", "evaluation": {"paths": {"p": path}}})
+    x, pen_up = waypoints(study.evaluation.paths["p"], in_plane())
+    np.testing.assert_allclose(x, [[70, 30], [80, 40]])
+    assert pen_up.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x_mm,z_mm\n1,2\n", "one column y_mm or y_cm or y_m for the input y; there are x_mm, z"),
+        ("x_mm,x_m,y_mm\n1,2,3\n", "one column x_mm or x_cm or x_m"),
+        ("x,y\n1,2\n", "one column x_mm or x_cm or x_m"),
+        ("x_mm,y_mm\n1,2\n3,up\n", "waypoint 2 has 'up' as y_mm, which is no number"),
+        ("x_mm,y_mm\n1,2\n", "1 waypoints; a path has at least 2"),
+        ("", "needs one column"),
+    ],
+)
+def test_a_faulty_file_of_waypoints_is_named(tmp_path, text, says):
+    file = tmp_path / "path.csv"
+    file.write_text(text)
+    path = {"shape": "csv", "file": str(file)}
+    study = parse_study({"name": "x", "evaluation": {"paths": {"p": path}}})
+    with pytest.raises(IksamplesError, match=says):
+        waypoints(study.evaluation.paths["p"], in_plane())

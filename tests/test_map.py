@@ -87,7 +87,7 @@ def error_mm(network: StackedMLP, chain: SerialChain, points: np.ndarray) -> np.
 def test_boxes_are_bad_throughout_and_the_share_holds(
     small: Study, chain: SerialChain, cell: Cell, rng: np.random.Generator
 ) -> None:
-    unsafe = map_cell(small, chain, cell)["unsafe"]
+    unsafe = map_cell(small, study_task(small), cell)["unsafe"]
     lower, upper = np.array(small.workspace.lower_mm), np.array(small.workspace.upper_mm)
     points = rng.uniform(lower, upper, (100_000, 3))
     for seed, rows in unsafe.groupby("seed"):
@@ -113,7 +113,7 @@ def test_boxes_are_bad_throughout_and_the_share_holds(
 def test_training_is_bounded_at_every_epoch(
     small: Study, chain: SerialChain, cell: Cell, rng: np.random.Generator
 ) -> None:
-    table = map_cell(small, chain, cell)["training_bound"]
+    table = map_cell(small, study_task(small), cell)["training_bound"]
     assert list(dict.fromkeys(table["seed"])) == shown_seeds(small, cell)
     points = rng.uniform(small.workspace.lower_mm, small.workspace.upper_mm, (20_000, 3))
     for seed, rows in table.groupby("seed"):
@@ -140,7 +140,7 @@ def test_diverged_seeds_are_not_shown(small: Study, chain: SerialChain, cell: Ce
     members.to_parquet(cell.folder / "members.parquet")
     assert first not in shown_seeds(small, cell)
     members.assign(diverged=True).to_parquet(cell.folder / "members.parquet")
-    assert all(table.empty for table in map_cell(small, chain, cell).values())
+    assert all(table.empty for table in map_cell(small, study_task(small), cell).values())
 
 
 @settings(max_examples=50, deadline=None)

@@ -19,11 +19,11 @@ from iksamples.certify.map_step import MAX_BOXES, map_cell
 from iksamples.certify.step import certify
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import track_paths
-from iksamples.evaluation.paths import waypoints_mm
+from iksamples.evaluation.paths import waypoints
 from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.recording.colours import blues
-from iksamples.recording.record import path_breaks, record_path
+from iksamples.recording.record import record_path
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study
@@ -131,7 +131,7 @@ def shown_network(cell: Cell, targets_mm: np.ndarray, chain: SerialChain) -> Sta
 def test_tool_goes_where_the_network_sends_it(
     small: Study, results: list[Cell], chain: SerialChain, heart: Path
 ) -> None:
-    targets = waypoints_mm(small.evaluation.paths["heart"])
+    targets = waypoints(small.evaluation.paths["heart"], study_task(small)).x
     for cell in results:
         network = shown_network(cell, targets, chain)
         reached = chain.forward_mm(network.predict(targets)[0])
@@ -151,7 +151,7 @@ def test_tool_goes_where_the_network_sends_it(
 def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
     small: Study, results: list[Cell], chain: SerialChain, heart: Path
 ) -> None:
-    targets = waypoints_mm(small.evaluation.paths["heart"])
+    targets = waypoints(small.evaluation.paths["heart"], study_task(small)).x
     joints = shown_network(results[-1], targets, chain).predict(targets)[0]
     assert not np.all(chain.within_limits(joints))  # which the viewer would clamp by default
     frames = {}
@@ -175,7 +175,7 @@ def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
 def test_training_is_replayed_up_to_the_final_path(
     small: Study, results: list[Cell], heart: Path
 ) -> None:
-    targets = waypoints_mm(small.evaluation.paths["heart"])
+    targets = waypoints(small.evaluation.paths["heart"], study_task(small)).x
     for cell in results:
         entity = f"/path/reached/{cell.label}"
         learning = read(heart, entity, "LineStrips3D:strips", "epoch")
@@ -289,14 +289,6 @@ def test_median_seed(means: list[float], random: object) -> None:
     assert means[median_seed(table) - 10] == statistics.median_low(means)
 
 
-def test_paths_break_only_where_they_jump(study: Study) -> None:
-    paths = study.evaluation.paths
-    assert path_breaks(waypoints_mm(paths["rectangles"])) == [120]
-    assert path_breaks(waypoints_mm(paths["heart"])) == []
-    coarse = paths["rectangles"].model_copy(update={"waypoints": 9})
-    assert path_breaks(waypoints_mm(coarse)) == [4]
-
-
 def test_blues_darken() -> None:
     shades = blues(7)
     assert len(set(shades)) == 7
@@ -317,9 +309,9 @@ def proved(small: Study, results: list[Cell], chain: SerialChain) -> Cell:
     )
     members = pd.DataFrame({"seed": SEEDS, "diverged": False})
     members.to_parquet(cell.folder / "members.parquet")
-    for name, table in map_cell(small, chain, cell).items():
+    for name, table in map_cell(small, study_task(small), cell).items():
         table.to_parquet(cell.folder / f"{name}.parquet")
-    proofs = certify(small, chain, cell.method, cell.samples, cell.folder)
+    proofs = certify(small, study_task(small), cell.method, cell.samples, cell.folder)
     proofs.to_csv(cell.folder.parent / "certificates.csv", index=False)
     return cell
 
@@ -327,7 +319,9 @@ def proved(small: Study, results: list[Cell], chain: SerialChain) -> Cell:
 def test_what_is_proved_of_the_shown_network_is_recorded(
     small: Study, proved: Cell, chain: SerialChain, heart: Path
 ) -> None:
-    network = shown_network(proved, waypoints_mm(small.evaluation.paths["heart"]), chain)
+    network = shown_network(
+        proved, waypoints(small.evaluation.paths["heart"], study_task(small)).x, chain
+    )
 
     def error_mm(points: np.ndarray, network: StackedMLP = network) -> np.ndarray:
         return np.linalg.norm(chain.forward_mm(network.predict(points)[0]) - points, axis=-1)

@@ -112,7 +112,7 @@ def test_a_study_checks_itself(command, tmp_path, chain):
             table.to_parquet(cell.folder / f"{name}.parquet")
     for method in study.all_methods:
         proofs = [
-            certify(study, chain, method, cell.samples, cell.folder)
+            certify(study, study_task(study), method, cell.samples, cell.folder)
             for cell in cells(study, results, method)
         ]
         pd.concat(proofs).to_csv(results / method / "certificates.csv", index=False)

@@ -4,13 +4,16 @@ import json
 import subprocess
 from datetime import date
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from iksamples.errors import IksamplesError
+from iksamples.evaluation.paths import waypoints
 from iksamples.study import Study, parse_study, read_study
 from iksamples.study.text import read_settings, typed
+from iksamples.task import study_task
 
 
 BAD = [
@@ -65,12 +68,12 @@ BAD = [
         "'workspace' upper_mm must be greater than lower_mm along every axis",
     ),
     (
-        {"name": "x", "evaluation": {"paths": {"p": {"shape": "circle"}}}},
-        "'evaluation.paths.p' tag 'circle' found using 'shape' does not match any",
+        {"name": "x", "evaluation": {"paths": {"p": {"shape": "square"}}}},
+        "'evaluation.paths.p' tag 'square' found using 'shape' does not match any",
     ),
     (
         {"name": "x", "evaluation": {"paths": {"p": {"shape": "heart", "size": 1}}}},
-        "unknown key 'evaluation.paths.p.size'; known keys here: shape, centre_mm",
+        "unknown key 'evaluation.paths.p.size'; known keys here: shape, waypoints",
     ),
     ({"name": "x", "bounds": {"scale_mm": 0}}, "'bounds.scale_mm' should be greater than 0 (found"),
 ]
@@ -246,8 +249,15 @@ def test_files_are_laid_over_one_another(tmp_path):
 
 def test_the_papers_study_file_says_what_the_defaults_say():
     written = read_study("config/config.yaml")
-    said = {"methods", "title"}
-    assert written.model_dump(exclude=said) == Study(name="paper").model_dump(exclude=said)
+    unsaid = Study(name="paper")
+    said = {"methods", "title", "evaluation"}
+    assert written.model_dump(exclude=said) == unsaid.model_dump(exclude=said)
+    task = study_task(unsaid)
+    for name, path in written.evaluation.paths.items():
+        for one, other in zip(
+            waypoints(path, task), waypoints(unsaid.evaluation.paths[name], task), strict=True
+        ):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_digest_follows_the_settings_that_numbers_depend_on():

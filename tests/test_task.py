@@ -46,7 +46,7 @@ def test_everything_is_over_the_usable_part_of_the_workspace(partly, tmp_path):
     train(partly, [samples], [tmp_path])
     network = StackedMLP.load(tmp_path / "weights.safetensors")
     measured = cube_errors(partly.evaluation, task, network).groupby("seed")["error_mm"].max()
-    proved = certify_networks(partly, task.arm, "network", samples, network).set_index("seed")
+    proved = certify_networks(partly, task, "network", samples, network).set_index("seed")
     assert proved["verified"].all()
     assert (measured <= proved["sup_upper_mm"] + 1e-3).all()
     # The worst point of some thousand is near the worst of all.

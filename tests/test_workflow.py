@@ -14,12 +14,12 @@ import pandas as pd
 import pytest
 
 from iksamples.answer.calibration import read_calibrations
-from iksamples.columns import CERTIFICATES, TABLE
+from iksamples.columns import TABLE, certificate_columns
 from iksamples.evaluation.errors import send
-from iksamples.evaluation.paths import waypoints_mm
+from iksamples.evaluation.paths import waypoints
 from iksamples.results import cells
 from iksamples.study import read_study
-from iksamples.task import study_chain
+from iksamples.task import study_task
 
 
 pytestmark = pytest.mark.slow
@@ -147,10 +147,9 @@ def test_table_has_the_documented_columns_and_agrees_with_the_weights(project, m
     assert list(table["n_samples"]) == [8, 27]
     assert list(table["paper_error_mm"]) == [19.31, 5.31]
     study = read_study(project / "results/tiny/study.json")
-    chain = study_chain(study)
-    path = waypoints_mm(study.evaluation.paths["rectangles"])
+    path = waypoints(study.evaluation.paths["rectangles"], study_task(study)).x
     for row, cell in zip(table.itertuples(), cells(study, project / "results/tiny"), strict=True):
-        means = send(cell.network, chain, path).error_mm.mean(axis=1)
+        means = send(cell.network, study_task(study), path).error_mm.mean(axis=1)
         assert row.error_mean_mm == pytest.approx(means.mean())
         assert row.error_sd_mm == pytest.approx(means.std(ddof=1))
         assert row.error_over_spacing == pytest.approx(
@@ -323,7 +322,7 @@ def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
 
 def test_certificates_hold_for_what_was_measured(project):
     proofs = pd.read_csv(project / "results/tiny/certificates.csv")
-    assert list(proofs.columns) == list(CERTIFICATES)
+    assert list(proofs.columns) == certificate_columns(["x_mm", "y_mm", "z_mm"])
     assert proofs["complete"].all()
     assert proofs["verified"].all()
     for label, rows in proofs.groupby("label"):

@@ -1,5 +1,6 @@
 """Every column of the tables that leave the package: its unit and what it means."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
@@ -49,9 +50,7 @@ CERTIFICATES: dict[str, Column] = {
     "seed": Column("-", "seed of the network"),
     "sup_lower_mm": Column("mm", "an error that is taken at the position argmax"),
     "sup_upper_mm": Column("mm", "no position of the workspace has a larger error"),
-    "argmax_x_mm": Column("mm", "position of the largest known error, x"),
-    "argmax_y_mm": Column("mm", "position of the largest known error, y"),
-    "argmax_z_mm": Column("mm", "position of the largest known error, z"),
+    "argmax_<input>": Column("mm or rad", "the input with the largest known error, as argmax_x_mm"),
     "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
     "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
     "boxes": Column("-", "boxes bounded in the search"),
@@ -60,6 +59,17 @@ CERTIFICATES: dict[str, Column] = {
     "verified": Column("-", "whether the separate, outward-rounded checker proved it again"),
 }
 """``certificates.csv``: one row per network."""
+
+
+def certificate_columns(inputs: Sequence[str]) -> list[str]:
+    """Columns of ``certificates.csv`` for a task with some inputs, such as ``x_mm``."""
+    argmax = [f"argmax_{name}" for name in inputs]
+    return [
+        column
+        for name in CERTIFICATES
+        for column in (argmax if name == "argmax_<input>" else [name])
+    ]
+
 
 ERRORS: dict[str, Column] = {
     "error_mean_mm": Column("mm", "mean position error"),

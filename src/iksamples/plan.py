@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from iksamples.answer.outcomes import is_certifiable
+from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
 from iksamples.study import Study
 from iksamples.training.run import choose_engine
@@ -224,7 +225,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
     n_sets, n_first = len(sample_sets(study)), len(sample_sets(study, study.samples.design))
     plans = {plan.method: plan for plan in methods}
     points = study.evaluation.cube_points + sum(
-        path.waypoints for path in study.evaluation.paths.values()
+        count_waypoints(path) for path in study.evaluation.paths.values()
     )
     n_networks = plans["network"].networks
     evaluations = [_POINT * points * plan.networks for plan in methods]

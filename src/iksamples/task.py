@@ -82,6 +82,10 @@ class Task:
         """The region's share of the workspace's volume."""
         return self.region.volume / float(np.prod(self.x.upper - self.x.lower))
 
+    def positions_mm(self, x: ArrayLike) -> Floats:
+        """Where inputs want the tool, to be drawn [mm], shape (..., 3)."""
+        return self.target.wanted(x)[0]
+
     @property
     def turns(self) -> bool:
         """Whether the tool's orientation is asked for as well."""
@@ -173,8 +177,10 @@ def _target(asked: Asked, chain: SerialChain, home: Floats | None) -> Target:
             home posture that is not given.
     """
     inputs: tuple[str, ...] = tuple(asked.inputs)
+    # What is no input stays as it is there; of a planar arm it is the plane.
+    at = chain.forward_mm(np.zeros(chain.n_joints) if home is None else home)
     if asked.orientation == "free":
-        return Target(inputs)
+        return Target(inputs, reference_position_mm=at)
     if asked.reference_rpy_rad is not None:
         rotation = roll_pitch_yaw(asked.reference_rpy_rad)
     elif home is not None:
@@ -184,7 +190,7 @@ def _target(asked: Asked, chain: SerialChain, home: Floats | None) -> Target:
             "task.orientation: how is the tool to be turned? Give task.reference_rpy_rad or a home "
             "posture (robot.home_rad)."
         )
-    return Target(inputs, asked.orientation, rotation)
+    return Target(inputs, asked.orientation, rotation, at)
 
 
 def usable_region(x: Space, label: Callable[[ArrayLike], Solution]) -> Region:

@@ -86,7 +86,7 @@ def _run(study: Study, task: Task, answer: MethodAnswer, results: Path, progress
         tables, _ = evaluate(study, task, samples, method, cell.folder)
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-        proofs.append(certify(study, task.arm, method, samples, cell.folder))
+        proofs.append(certify(study, task, method, samples, cell.folder))
     pd.concat(proofs).to_csv(folder / method / "certificates.csv", index=False)
 
 

@@ -16,6 +16,7 @@ from iksamples.answer.words import (
     several,
     whole,
 )
+from iksamples.evaluation.paths import count_waypoints
 from iksamples.samples.record import N_CORNERS
 from iksamples.study import NETWORK, Study
 
@@ -56,7 +57,7 @@ def points_measured(study: Study) -> int:
     where = study.tolerance.where
     if where == "workspace":
         return study.evaluation.cube_points + N_CORNERS
-    return study.evaluation.paths[where].waypoints
+    return count_waypoints(study.evaluation.paths[where])
 
 
 def _wish(study: Study, findings: list[Finding]) -> str:

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats
 from iksamples.certify.mean import certify_coverage
 from iksamples.certify.search import certify_stack
+from iksamples.certify.step import compared
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
 from iksamples.results import Cell
 from iksamples.study import Study
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -26,9 +28,8 @@ TRAINING, UNSAFE = "training_bound", "unsafe"
 MAX_BOXES = 400
 """Boxes kept of a network, largest first; more are slow to draw."""
 
-_AXES = ("x", "y", "z")
-_LOWER = [f"lower_{axis}_mm" for axis in _AXES]
-_UPPER = [f"upper_{axis}_mm" for axis in _AXES]
+_MOST_INPUTS = 3
+"""Inputs of a region whose share can be enclosed in time, and drawn."""
 _RTOL = 0.02
 # The share is known to within 2 % either way; boxes on the border matter to a picture only.
 _ATOL, _MIXED = 0.04, 0.4
@@ -50,12 +51,12 @@ def shown_seeds(study: Study, cell: Cell) -> list[int]:
     return [seed for seed in dict.fromkeys(seeds) if seed in sound]
 
 
-def map_cell(study: Study, chain: SerialChain, cell: Cell) -> "dict[str, pd.DataFrame]":
+def map_cell(study: Study, task: Task, cell: Cell) -> "dict[str, pd.DataFrame]":
     """What is proved of the networks that pictures show of a cell.
 
     Args:
         study: The study.
-        chain: Its arm.
+        task: Its task.
         cell: A trained method on one set of samples, evaluated.
 
     Returns:
@@ -69,17 +70,19 @@ def map_cell(study: Study, chain: SerialChain, cell: Cell) -> "dict[str, pd.Data
         at most 400 for a seed, the largest: seed, lower_x_mm ... upper_z_mm; and the same in every
         row of a seed: tolerance_mm, safe_lower and safe_upper, between which the share of the
         workspace under the tolerance lies, and drawn, the boxes' share. A seed without such a box
-        has one row without corners.
+        has one row without corners. No row where there are more than three inputs.
     """
     import pandas as pd
 
     trainings, boxes = [], []
     for seed in shown_seeds(study, cell):
-        trainings.append(_training(chain, cell, seed))
-        boxes.append(_unsafe(study, chain, cell, seed))
+        trainings.append(_training(task, cell, seed))
+        if len(task.x) <= _MOST_INPUTS:
+            boxes.append(_unsafe(study, task, cell, seed))
+    columns = _unsafe_columns(task)
     return {
-        TRAINING: pd.concat(trainings, ignore_index=True) if trainings else _empty(_TRAINING),
-        UNSAFE: pd.concat(boxes, ignore_index=True) if boxes else _empty(_UNSAFE),
+        TRAINING: pd.concat(trainings, ignore_index=True) if trainings else _empty(list(_TRAINING)),
+        UNSAFE: pd.concat(boxes, ignore_index=True) if boxes else _empty(columns),
     }
 
 
@@ -111,7 +114,7 @@ def merge_boxes(lower: ArrayLike, upper: ArrayLike) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _training(chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
+def _training(task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
     """The certified worst case along a training: what the paper leaves as future work.
 
     All epochs are searched together, which takes less time than starting each search from the
@@ -121,9 +124,11 @@ def _training(chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
 
     epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     finite = networks.finite_rows()
-    sound, samples_mm = networks.select(finite), cell.samples.positions_mm
-    certificates = certify_stack(sound, chain, cell.samples.region, rtol=_RTOL, seeds_mm=samples_mm)
-    errors = np.linalg.norm(chain.forward_mm(sound.predict(samples_mm)) - samples_mm, axis=-1)
+    sound, x = networks.select(finite), cell.samples.x
+    certificates = certify_stack(
+        sound, task.arm, task.region, rtol=_RTOL, seeds_mm=x, compare=compared(task)
+    )
+    errors = task.target.position_error_mm(task.arm, sound.predict(x), x)
     return pd.DataFrame(
         {
             "seed": np.array(sound.seeds),
@@ -137,32 +142,34 @@ def _training(chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
     )[list(_TRAINING)]
 
 
-def _unsafe(study: Study, chain: SerialChain, cell: Cell, seed: int) -> "pd.DataFrame":
+def _unsafe(study: Study, task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
     import pandas as pd
 
-    region = cell.samples.region
     coverage = certify_coverage(
         cell.network,
         cell.network.seeds.index(seed),
-        chain,
-        region,
+        task.arm,
+        task.region,
         study.tolerance.error_mm,
         atol=_ATOL,
         mixed=_MIXED,
+        compare=compared(task),
     )
     low, high = merge_boxes(coverage.bad_lower_mm, coverage.bad_upper_mm)
-    volume = np.prod(high - low, axis=1) / region.volume
+    volume = np.prod(high - low, axis=1) / task.region.volume
     largest = np.argsort(-volume, kind="stable")[:MAX_BOXES]
     drawn = float(volume[largest].sum())
-    corners = np.hstack([low, high])[largest] if len(largest) else np.full((1, 6), np.nan)
-    table = pd.DataFrame(corners, columns=[*_LOWER, *_UPPER])
+    corners = np.hstack([low, high])[largest]
+    if not len(largest):
+        corners = np.full((1, 2 * len(task.x)), np.nan)
+    table = pd.DataFrame(corners, columns=_corners(task))
     return table.assign(
         seed=seed,
         tolerance_mm=coverage.tolerance_mm,
         safe_lower=coverage.lower,
         safe_upper=coverage.upper,
         drawn=drawn,
-    )[list(_UNSAFE)]
+    )[_unsafe_columns(task)]
 
 
 _TRAINING = (
@@ -174,10 +181,18 @@ _TRAINING = (
     "training_max_mm",
     "complete",
 )
-_UNSAFE = ("seed", *_LOWER, *_UPPER, "tolerance_mm", "safe_lower", "safe_upper", "drawn")
 
 
-def _empty(columns: tuple[str, ...]) -> "pd.DataFrame":
+def _corners(task: Task) -> list[str]:
+    """Columns of a box: lower_x_mm, lower_y_mm, .. upper_x_mm, .."""
+    return [*task.x.columns("lower_"), *task.x.columns("upper_")]
+
+
+def _unsafe_columns(task: Task) -> list[str]:
+    return ["seed", *_corners(task), "tolerance_mm", "safe_lower", "safe_upper", "drawn"]
+
+
+def _empty(columns: list[str]) -> "pd.DataFrame":
     import pandas as pd
 
-    return pd.DataFrame(columns=list(columns))
+    return pd.DataFrame(columns=columns)

@@ -134,7 +134,7 @@ def prove(
     all_samples = load_samples(samples_files)
     task = study_task(study, all_samples[0].region)
     rows = [
-        certify(study, task.arm, method, samples, folder / samples.label) for samples in all_samples
+        certify(study, task, method, samples, folder / samples.label) for samples in all_samples
     ]
     with whole_file(output) as file:
         pd.concat(rows).to_csv(file, index=False)
@@ -156,7 +156,7 @@ def map_(study_file: StudyFile, results: Results) -> None:
     task = study_task(study, all_cells[0].samples.region)
     for cell in all_cells:
         shown = [error_slices(task, cell.network, seed) for seed in shown_seeds(study, cell)]
-        tables = map_cell(study, task.arm, cell)
+        tables = map_cell(study, task, cell)
         tables["slices"] = pd.concat(shown) if shown else pd.DataFrame(columns=["seed"])
         for name, rows in tables.items():
             with whole_file(cell.folder / f"{name}.parquet") as file:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.arm.chain import Floats
-from iksamples.evaluation.paths import waypoints_mm
+from iksamples.evaluation.paths import waypoints
 from iksamples.methods.predictor import Predictor
 from iksamples.samples.record import region_points
 from iksamples.study import Evaluation
@@ -66,20 +66,21 @@ def track_paths(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd
     """Every waypoint of every path for every seed.
 
     Returns:
-        Columns path, waypoint, seed, target_* (the inputs), reached_*_mm, q_* (the joints),
+        Columns path, waypoint, seed, pen_up, target_* (the inputs), reached_*_mm, q_* (the joints),
         error_mm and, where the tool's orientation is asked for, angle_deg.
     """
     import pandas as pd
 
     frames = []
     for name, path in evaluation.paths.items():
-        x = waypoints_mm(path)
+        x, pen_up = waypoints(path, task)
         result = send(predictor, task, x)
         n_seeds, n_points = result.error_mm.shape
         columns: dict[str, object] = {
             "path": name,
             "waypoint": np.tile(np.arange(n_points), n_seeds),
             "seed": np.repeat(predictor.seeds, n_points),
+            "pen_up": np.tile(pen_up, n_seeds),
         }
         for i, column in enumerate(task.x.columns("target_")):
             columns[column] = np.tile(x[:, i], n_seeds)

@@ -7,10 +7,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from iksamples import __version__
-from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
+from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.recording.proofs import ENTITY, Proof, proof_text, proof_view
 from iksamples.recording.shown import ShownGrid
 from iksamples.study import Study
+from iksamples.task import Task
 
 
 APPLICATION = "iksamples"
@@ -29,7 +30,7 @@ _TURN_RAD, _RISE_RAD = -1.1, 0.4
 def layout(
     study: Study,
     path_name: str,
-    chain: SerialChain,
+    task: Task,
     shown: Sequence[ShownGrid],
     timeline: str = WAYPOINT,
     proof: Proof | None = None,
@@ -39,15 +40,15 @@ def layout(
     Args:
         study: The study.
         path_name: The path that is shown.
-        chain: The study's arm.
+        task: The study's task.
         shown: The grids, by size; the arm follows the last.
         timeline: The timeline that plays.
         proof: What is proved of the network that moves the arm, if anything.
     """
     arm = shown[-1]
-    lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
+    lower, upper = task.positions_mm([task.x.lower, task.x.upper])
     box = np.stack([lower, upper])
-    body = np.concatenate([box, chain.skeleton_mm(arm.joints).reshape(-1, 3)])
+    body = np.concatenate([box, task.arm.skeleton_mm(arm.joints).reshape(-1, 3)])
     # Else the viewer measures from the URDF's root, which need not be the base link.
     scene_frame = rrb.SpatialInformation(target_frame="tf#/")
     everything = rrb.Spatial3DView(

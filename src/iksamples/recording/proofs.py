@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.recording.colours import ORANGE, RED
 from iksamples.results import Cell
-from iksamples.samples.dataset import AXES
+from iksamples.task import Task
 
 
 if TYPE_CHECKING:
@@ -50,10 +50,11 @@ class Proof:
     worst_error_mm: float
 
 
-def read_proof(cell: Cell, seed: int) -> Proof | None:
+def read_proof(task: Task, cell: Cell, seed: int) -> Proof | None:
     """Reads what is proved of one network; None where that was not worked out.
 
     Args:
+        task: The study's task.
         cell: The grid's results.
         seed: Which network.
     """
@@ -64,11 +65,14 @@ def read_proof(cell: Cell, seed: int) -> Proof | None:
     if unsafe.empty or training.empty:
         return None
     head = unsafe.iloc[0]
-    corners = unsafe[[f"{end}_{axis}_mm" for end in ("lower", "upper") for axis in AXES]].dropna()
-    worst_mm, worst_error_mm = _worst_point(cell, seed)
+    lower, upper = (
+        task.positions_mm(unsafe[task.x.columns(f"{end}_")].dropna().to_numpy(float))
+        for end in ("lower", "upper")
+    )
+    worst_mm, worst_error_mm = _worst_point(task, cell, seed)
     return Proof(
-        corners.to_numpy(float)[:, :3],
-        corners.to_numpy(float)[:, 3:],
+        lower,
+        upper,
         float(head["tolerance_mm"]),
         (float(head["safe_lower"]), float(head["safe_upper"])),
         float(head["drawn"]),
@@ -197,7 +201,7 @@ def _of_seed(table: "pd.DataFrame", seed: int) -> "pd.DataFrame":
     return table[table["seed"] == seed]
 
 
-def _worst_point(cell: Cell, seed: int) -> tuple[Floats | None, float]:
+def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, float]:
     """Where the largest known error is, and how large it is."""
     import pandas as pd
 
@@ -208,5 +212,5 @@ def _worst_point(cell: Cell, seed: int) -> tuple[Floats | None, float]:
     rows = table[(table["label"] == cell.label) & (table["seed"] == seed)]
     if rows.empty:
         return None, float("nan")
-    at = rows[[f"argmax_{axis}_mm" for axis in AXES]].to_numpy(float)[0]
-    return at, float(rows["sup_lower_mm"].iloc[0])
+    at = rows[task.x.columns("argmax_")].to_numpy(float)[0]
+    return task.positions_mm(at), float(rows["sup_lower_mm"].iloc[0])

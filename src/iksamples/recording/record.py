@@ -21,7 +21,7 @@ from iksamples.recording.proofs import Proof, log_proof, read_proof
 from iksamples.recording.shown import ShownGrid, read_grid
 from iksamples.results import Cell
 from iksamples.study import Study
-from iksamples.task import study_task
+from iksamples.task import Task, study_task
 
 
 # Smooth enough for the eye, few enough for a small file.
@@ -47,7 +47,6 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
     """
     by_label = {cell.label: cell for cell in cells}
     task = study_task(study, next(iter(by_label.values())).samples.region)
-    chain = task.arm
     read = [read_grid(task, path_name, cell) for cell in by_label.values()]
     shown = [grid for grid in read if grid.finite]
     if not shown:
@@ -56,31 +55,14 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
             "to draw. Lower training.learning_rate."
         )
     left_out = [grid for grid in read if not grid.finite]
-    proof = read_proof(by_label[shown[-1].label], shown[-1].seed)
-    _write(study, path_name, chain, shown, left_out, proof, Path(output))
-
-
-def path_breaks(target_mm: Floats) -> list[int]:
-    """Waypoints at which the pen is set down anew, such as on the second of two rectangles.
-
-    Args:
-        target_mm: The path [mm], shape (waypoints, 3).
-
-    Returns:
-        Index of the first waypoint after each closed part of the path, the last part aside.
-    """
-    breaks, start = [], 0
-    for i in range(1, len(target_mm) - 1):
-        if i > start and np.allclose(target_mm[i], target_mm[start], rtol=0, atol=1e-6):
-            start = i + 1
-            breaks.append(start)
-    return breaks
+    proof = read_proof(task, by_label[shown[-1].label], shown[-1].seed)
+    _write(study, path_name, task, shown, left_out, proof, Path(output))
 
 
 def _write(
     study: Study,
     path_name: str,
-    chain: SerialChain,
+    task: Task,
     shown: Sequence[ShownGrid],
     left_out: Sequence[ShownGrid],
     proof: Proof | None,
@@ -93,15 +75,15 @@ def _write(
     )
     # Two recordings of the same results are to hold the same, whatever the clock says.
     rr.set_log_time_enabled(False, recording=recording)
-    blueprint = layout(study, path_name, chain, shown, proof=proof)
+    blueprint = layout(study, path_name, task, shown, proof=proof)
     recording.save(file, default_blueprint=blueprint)
     recording.send_recording_name(f"{study.name}: {path_name}")
     text = about(study, path_name, shown, left_out, proof)
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     waypoints = np.arange(0, len(arm.target_mm), -(-len(arm.target_mm) // MAX_WAYPOINTS))
-    _log_scene(recording, study, arm.target_mm)
-    _log_arm(recording, study, chain, arm, waypoints)
+    _log_scene(recording, task, arm)
+    _log_arm(recording, study, task.arm, arm, waypoints)
     for grid, colour in zip(shown, blues(len(shown)), strict=True):
         _log_grid(recording, grid, colour, waypoints)
     if proof is not None:
@@ -140,18 +122,18 @@ def _log_arm(
             )
 
 
-def _log_scene(recording: rr.RecordingStream, study: Study, target_mm: Floats) -> None:
+def _log_scene(recording: rr.RecordingStream, task: Task, grid: ShownGrid) -> None:
     """What does not depend on a network: the path and the workspace."""
     recording.log(
         "path/target",
         rr.LineStrips3D(
-            np.split(target_mm / MM_PER_M, path_breaks(target_mm)),
+            np.split(grid.target_mm / MM_PER_M, grid.breaks),
             colors=RED,
             radii=rr.Radius.ui_points(1.5),
         ),
         static=True,
     )
-    lower, upper = np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm)
+    lower, upper = task.positions_mm([task.x.lower, task.x.upper])
     recording.log(
         "workspace",
         rr.Boxes3D(
@@ -183,7 +165,7 @@ def _log_grid(
 
     # One entity on both timelines: on the first the whole path, from the first waypoint on.
     path = f"path/reached/{grid.label}"
-    breaks = np.searchsorted(waypoints, path_breaks(grid.target_mm))
+    breaks = np.searchsorted(waypoints, grid.breaks)
     line = rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5))
     recording.log(path, line, static=True)
     at_start = [rr.TimeColumn(WAYPOINT, sequence=waypoints[:1])]

@@ -1,7 +1,6 @@
 """What a recording shows of one grid: the network of one seed, on one path."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +10,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Tracking, send
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
 from iksamples.results import Cell
-from iksamples.samples.dataset import AXES
 from iksamples.task import Task
-
-
-if TYPE_CHECKING:
-    pass
-
-# Enough to watch a training, few enough for a small file.
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +23,7 @@ class ShownGrid:
         n_seeds: Networks trained on it.
         seed: The one that is shown.
         target_mm: The path [mm], shape (waypoints, 3).
+        breaks: Waypoints before which the pen is lifted.
         joints: What the network answers [rad or mm], shape (waypoints, joints).
         reached_mm: Where that takes the tool [mm], shape (waypoints, 3).
         error_mm: Distance between the two [mm], shape (waypoints,).
@@ -43,6 +36,7 @@ class ShownGrid:
     n_seeds: int
     seed: int
     target_mm: Floats
+    breaks: NDArray[np.int64]
     joints: Floats
     reached_mm: Floats
     error_mm: Floats
@@ -78,15 +72,17 @@ def read_grid(task: Task, path_name: str, cell: Cell) -> ShownGrid:
     seed = median_seed(table)
     rows = table[table["seed"] == seed].sort_values("waypoint")
     target = rows[task.x.columns("target_")].to_numpy(float)
+    pen_up = rows["pen_up"].to_numpy(bool)
     epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     return ShownGrid(
         label=cell.label,
-        samples_mm=cell.samples.positions_mm,
+        samples_mm=task.positions_mm(cell.samples.x),
         n_seeds=table["seed"].nunique(),
         seed=seed,
-        target_mm=target,
+        target_mm=task.positions_mm(target),
+        breaks=np.flatnonzero(pen_up),
         joints=rows[task.q.columns("q_")].to_numpy(float),
-        reached_mm=rows[[f"reached_{axis}_mm" for axis in AXES]].to_numpy(float),
+        reached_mm=rows[[f"reached_{axis}_mm" for axis in "xyz"]].to_numpy(float),
         error_mm=rows["error_mm"].to_numpy(float),
         epochs=epochs,
         learning=send(networks, task, target),

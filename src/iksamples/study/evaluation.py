@@ -1,48 +1,24 @@
 """What is measured and proved, and what is good enough."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
-from iksamples.study.section import Name, Pair, Section, Vector3
-
-
-class DoubleRectangle(Section):
-    """Two axis-parallel rectangles at a low and a high height (paper, Figs. 4 and 5)."""
-
-    shape: Literal["double_rectangle"] = Field(description="Kind of path.")
-    lower_mm: Pair = Field((30.0, 30.0), description="Lower x and y [mm].")
-    upper_mm: Pair = Field((70.0, 70.0), description="Upper x and y [mm].")
-    heights_mm: Pair = Field((10.0, 50.0), description="The two heights z [mm].")
-    waypoints: int = Field(240, ge=8, le=100_000, description="Points along both rectangles.")
-
-
-class Heart(Section):
-    """A heart in a plane that leans about the x axis (paper, Fig. 2)."""
-
-    shape: Literal["heart"] = Field(description="Kind of path.")
-    centre_mm: Vector3 = Field((50.0, 50.0, 30.0), description="Centre of the heart [mm].")
-    width_mm: float = Field(44.0, gt=0, description="Width along x [mm].")
-    tilt_rad: float = Field(
-        0.6, ge=-3.1416, le=3.1416, description="Lean of the plane about the x axis [rad]."
-    )
-    waypoints: int = Field(200, ge=8, le=100_000, description="Points along the heart.")
-
-
-Path3D = Annotated[DoubleRectangle | Heart, Field(discriminator="shape")]
+from iksamples.study.paths import AnyPath, CsvPath, DoubleRectangle, Heart
+from iksamples.study.section import Name, Section
 
 
 class Evaluation(Section):
     """Where the error is measured, always through the forward kinematics."""
 
-    paths: dict[Name, Path3D] = Field(
+    paths: dict[Name, AnyPath] = Field(
         {
             "rectangles": DoubleRectangle(shape="double_rectangle"),
             "heart": Heart(shape="heart"),
         },
         min_length=1,
         description="Paths to track, by name; the first one fills Table 1. Naming any replaces "
-        "these two.",
+        "these two. What a path does not say of its place and size follows from the workspace.",
     )
     cube_points: int = Field(
         8192,
@@ -50,6 +26,11 @@ class Evaluation(Section):
         le=1_000_000,
         description="Points spread over the whole workspace, the same for every grid.",
     )
+
+    @property
+    def files(self) -> list[str]:
+        """Files of waypoints."""
+        return [path.file for path in self.paths.values() if isinstance(path, CsvPath)]
 
 
 class Bounds(Section):

@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from iksamples.errors import IksamplesError
-from iksamples.study.evaluation import DoubleRectangle, Heart
-from iksamples.study.section import NAMES, Section, without_password
+from iksamples.study.paths import SHAPES
+from iksamples.study.section import NAMES, without_password
 from iksamples.study.study import Study, overlay
 from iksamples.study.text import read_settings
 
@@ -53,9 +53,6 @@ def read_study(*paths: str | Path, changes: dict[str, Any] | None = None) -> Stu
     return parse_study(settings, ", ".join(map(str, paths)))
 
 
-_SHAPES: dict[str, type[Section]] = {"double_rectangle": DoubleRectangle, "heart": Heart}
-
-
 def _not_settings(settings: Any) -> str:
     """What in settings is no setting at all: a key that is no text, a date, no end."""
     n = 0
@@ -90,7 +87,7 @@ def _own(items: list[Any]) -> list[Any]:
 def _describe(item: Any) -> str:
     """One validation error as a line for people."""
     # A path's shape stands in the location of an error, though the user never wrote it as a key.
-    location = tuple(part for part in item["loc"] if part not in _SHAPES)
+    location = tuple(part for part in item["loc"] if part not in SHAPES)
     kind, key = item["type"], _dotted(location)
     if location[-1:] == ("[key]",):
         where = _dotted(location[:-2])
@@ -141,8 +138,8 @@ def _keys_at(location: tuple[Any, ...]) -> list[str]:
     """The keys that the section at a location of the study file may have."""
     section: Any = Study
     for part in location:
-        if part in _SHAPES:
-            section = _SHAPES[part]
+        if part in SHAPES:
+            section = SHAPES[part]
         elif part in section.model_fields:
             annotation = section.model_fields[part].annotation
             candidates = (annotation, *getattr(annotation, "__args__", ()))

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict, model_validator
 
-from iksamples.study.section import Limits, Section, Vector3
+from iksamples.study.section import Corner, Limits, Section, Vector3
 
 
 class Robot(Section):
@@ -73,20 +73,18 @@ class Asked(Section):
         return sum(name in POSITIONS for name in self.inputs)
 
 
-Corner = Annotated[tuple[float, ...], Strict(False), Field(max_length=3)]
+Angles = Annotated[tuple[float, ...], Strict(False), Field(max_length=3)]
 
 
 class Workspace(Section):
     """The box of inputs in which the arm is to work."""
 
-    lower_mm: Annotated[Corner, Field(min_length=2)] = Field(
+    lower_mm: Corner = Field(
         (20.0, 20.0, 0.0), description="Lower limits of the positions among the inputs [mm]."
     )
-    upper_mm: Annotated[Corner, Field(min_length=2)] = Field(
-        (80.0, 80.0, 60.0), description="Upper limits of the positions [mm]."
-    )
-    lower_rad: Corner = Field((), description="Lower limits of the angles among the inputs [rad].")
-    upper_rad: Corner = Field((), description="Upper limits of the angles [rad].")
+    upper_mm: Corner = Field((80.0, 80.0, 60.0), description="Upper limits of the positions [mm].")
+    lower_rad: Angles = Field((), description="Lower limits of the angles among the inputs [rad].")
+    upper_rad: Angles = Field((), description="Upper limits of the angles [rad].")
     min_singular_value_mm: float = Field(
         1.0,
         ge=0,

@@ -10,6 +10,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 Pair = Annotated[tuple[float, float], Strict(False)]
 Vector3 = Annotated[tuple[float, float, float], Strict(False)]
 Limits = Pair
+Corner = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
+"""As many numbers as there are positions among the inputs."""
 
 _STUDY, _INSIDE = r"^[a-z0-9][a-z0-9_-]*$", r"^[a-z][a-z0-9-]*$"
 NAMES = {
