@@ -26,7 +26,7 @@ def test_every_command_has_help(command):
     commands = top.stdout.split("Commands:")[1]
     listed = [line.split()[0] for line in commands.splitlines() if line.startswith("  ")]
     steps = {"check", "samples", "train", "evaluate", "bounds", "prove", "map", "collect",
-             "table", "answer", "recommend", "calibrate", "plan", "next", "track", "record",
+             "table", "answer", "recommend", "replicate", "plan", "next", "track", "record",
              "report", "certify", "handbook"}  # fmt: skip
     assert steps <= set(listed)
 

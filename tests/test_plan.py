@@ -62,7 +62,7 @@ def test_more_of_anything_takes_longer():
         {"samples": {"points_per_axis": [2, 3, 4, 5, 6, 7, 8, 16]}},
         {"samples": {"designs": ["grid", "adaptive"]}},
         {"methods": {"cubic": {"kind": "cubic"}}},
-        {"calibration": {"seeds": 1000}},
+        {"replication": {"seeds": 1000}},
     ):
         assert seconds(**more) > paper, more
     large = parse_study({"name": "s", "network": {"hidden": [512, 512]}})

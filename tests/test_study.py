@@ -267,7 +267,7 @@ def test_digest_follows_the_settings_that_numbers_depend_on():
     for change, same in (
         ({"title": "else"}, True),
         ({"tracking": {"uri": "sqlite:///else.db"}}, True),
-        ({"calibration": {"seeds": 9}}, True),
+        ({"replication": {"seeds": 9}}, True),
         ({"network": {"hidden": [15]}}, False),
         ({"tolerance": {"error_mm": 3}}, False),
     ):

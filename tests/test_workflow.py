@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from iksamples.answer.calibration import read_calibrations
+from iksamples.answer.replication import read_replications
 from iksamples.columns import TABLE, certificate_columns
 from iksamples.evaluation.errors import send
 from iksamples.evaluation.paths import waypoints
@@ -269,7 +269,7 @@ def test_several_designs_and_fresh_seeds(tmp_path):
         "samples": {"designs": ["sobol", "grid"], "points_per_axis": [2, 3]},
         "training": {"epochs": 300, "seeds": 6, "snapshots": 6},
         "tolerance": {"error_mm": 60, "success_share": 0.5},
-        "calibration": {"seeds": 7},
+        "replication": {"seeds": 7},
     }
     changes = [f"{key}={value}" for key, value in settings.items()]
     command = ("--cores", "2", "--configfile", TINY, "--config", *changes)
@@ -278,7 +278,7 @@ def test_several_designs_and_fresh_seeds(tmp_path):
     assert "nan" not in report.lower()
     assert "Error over spacing" not in report
     assert "Samples placed" in report
-    checks = read_calibrations(folder / "results/tiny")
+    checks = read_replications(folder / "results/tiny")
     assert {check.design for check in checks} <= {"sobol", "grid"}
     assert all(check.at.n_seeds == 7 for check in checks)
     assert ("fresh trainings?" in report) == bool(checks)

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from iksamples.answer.statistics import met_needed, seeds_needed, single_share
-from iksamples.answer.words import percent, several, whole
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import KINDS
 from iksamples.methods.tensor import tensor_grid
 from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
+from iksamples.stats import met_needed, seeds_needed, single_share
 from iksamples.study import Study
+from iksamples.text import percent, several, whole
 
 
 def advice(study: Study, sets: Sequence[SampleSet]) -> list[str]:
@@ -25,17 +25,18 @@ def advice(study: Study, sets: Sequence[SampleSet]) -> list[str]:
 def _too_few_seeds(study: Study) -> list[str]:
     tolerance = study.tolerance
     share = single_share(tolerance.success_share, tolerance.best_of)
-    lines = []
-    counts = {study.all_methods[name].training.seeds for name in networks(study)}
-    for n in sorted(counts):
-        if met_needed(n, share, tolerance.confidence) is None:
-            enough = seeds_needed(share, tolerance.confidence)
-            lines.append(
-                f"{several(n, 'seed')} cannot show with {percent(tolerance.confidence)} confidence "
-                f"that {percent(share)} of trainings succeed, even if all do; {whole(enough)} can "
-                "(training.seeds)."
-            )
-    return lines
+    counts = [study.all_methods[name].training.seeds for name in networks(study)]
+    n_variants = len(counts) * len(study.samples.designs)
+    # All answers together hold with the confidence asked for (answer/sizes.py).
+    each = 1 - (1 - tolerance.confidence) / n_variants
+    together = "" if n_variants == 1 else f" for {n_variants} variants of networks together"
+    return [
+        f"{several(n, 'seed')} cannot show with {percent(tolerance.confidence)} confidence"
+        f"{together} that {percent(share)} of trainings succeed, even if all do; "
+        f"{whole(seeds_needed(share, each))} can (training.seeds)."
+        for n in sorted(set(counts))
+        if met_needed(n, share, each) is None
+    ]
 
 
 def _methods_without_samples(study: Study, sets: Sequence[SampleSet]) -> list[str]:

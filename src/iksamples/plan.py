@@ -68,14 +68,14 @@ class Plan:
     def seconds(self, cores: int) -> float:
         """Expected time with some cores [s].
 
-        Training is one job that all others but the recording of samples wait for, and calibration
+        Training is one job that all others but the recording of samples wait for, and replication
         is one that waits for the answer; the others share the cores.
         """
         parts = {step.step: step for step in self.steps}
         alone = _SNAKEMAKE + _SCHEDULING * sum(step.jobs for step in self.steps)
         alone += parts["samples"].seconds / cores
-        alone += sum(parts[step].seconds for step in ("train", "calibrate") if step in parts)
-        rest = [step for step in self.steps if step.step not in ("samples", "train", "calibrate")]
+        alone += sum(parts[step].seconds for step in ("train", "replicate") if step in parts)
+        rest = [step for step in self.steps if step.step not in ("samples", "train", "replicate")]
         shared = sum(step.seconds for step in rest) / cores
         return alone + max(shared, max(step.longest_s for step in rest))
 
@@ -163,7 +163,7 @@ _START = {
     "map": 1.0,
     "table": 0.5,
     "answer": 1.5,
-    "calibrate": 7.0,
+    "replicate": 7.0,
     "track": 3.0,
     "record": 1.0,
     "report": 5.0,
@@ -251,16 +251,16 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         "record": [0.5] * len(study.evaluation.paths),
         "report": [1.0],
     }
-    if study.calibration.seeds:
-        fresh = 2 * study.calibration.seeds * len(methods)
+    if study.replication.seeds:
+        fresh = 2 * study.replication.seeds * len(methods)
         share = fresh / sum(plan.networks for plan in methods)
         again = work["train"][0] + sum(evaluations)
         if is_certifiable(study.tolerance):
             again += sum(proofs)
-        work["calibrate"] = [share * again]
+        work["replicate"] = [share * again]
     for step, jobs in work.items():
         seconds = [_START[step] + own for own in jobs]
-        memory = _training_mb(study, n_joints) if step in ("train", "calibrate") else _OTHER_MB
+        memory = _training_mb(study, n_joints) if step in ("train", "replicate") else _OTHER_MB
         yield StepPlan(step, len(jobs), sum(seconds), max(seconds), memory)
 
 

@@ -10,7 +10,7 @@ OUTPUTS
     results/<study>/runs.parquet, certificates.csv
     results/<study>/table.csv, claims.csv
     results/<study>/answer.json, samples-needed.csv
-    results/<study>/calibration.json, where the study asks for fresh trainings
+    results/<study>/replication.json, where the study asks for fresh trainings
 """
 
 
@@ -93,22 +93,22 @@ rule answer:
         settings=settings(
             "samples", "tolerance", "evaluation", "methods", "training", "network"
         ),
-        code=source_digest("iksamples.answer.size"),
+        code=source_digest("iksamples.answer.assess"),
         results="results/{study}",
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
 
-rule calibrate:
+rule replicate:
     """The answer's networks again, with seeds it has not seen."""
     input:
         answer="results/{study}/answer.json",
     output:
-        "results/{study}/calibration.json",
+        "results/{study}/replication.json",
     log:
-        "results/{study}/logs/calibrate.log",
+        "results/{study}/logs/replicate.log",
     benchmark:
-        "results/{study}/benchmarks/calibrate.jsonl"
+        "results/{study}/benchmarks/replicate.jsonl"
     threads: 2
     params:
         study="results/{study}/study.json",
@@ -119,10 +119,16 @@ rule calibrate:
             "training",
             "evaluation",
             "bounds",
-            "calibration",
+            "replication",
         ),
-        code=source_digest("iksamples.answer.fresh"),
+        code=source_digest(
+            "iksamples.answer.replication",
+            "iksamples.answer.outcomes",
+            "iksamples.training.step",
+            "iksamples.evaluation.step",
+            "iksamples.certify.step",
+        ),
         results="results/{study}",
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples calibrate {params.study:q} --results {params.results:q} --output {output:q}'
+        '"$IKSAMPLES_PYTHON" -P -m iksamples replicate {params.study:q} --results {params.results:q} --output {output:q}'
         " 2> >(tee {log:q} >&2)"

@@ -17,8 +17,8 @@ rule report:
         runs="results/{study}/runs.parquet",
         paper=multiext("results/{study}/", "table.csv", "claims.csv"),
         answer="results/{study}/answer.json",
-        calibration=(
-            "results/{study}/calibration.json" if STUDY.calibration.seeds else []
+        replication=(
+            "results/{study}/replication.json" if STUDY.replication.seeds else []
         ),
         maps=expand(
             "results/{{study}}/network/{samples}/{table}.parquet",

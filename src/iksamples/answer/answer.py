@@ -10,116 +10,78 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from iksamples.errors import IksamplesError
+from iksamples.stats import Interval, Number
 from iksamples.study import Tolerance
 
 
-VERSION = 1
+VERSION = 2
 """Version of the file's layout; a field that is added does not change it."""
 
 FILE = "answer.json"
 
-Status = Literal["answered", "extrapolated", "unreachable", "more-seeds", "open"]
+Status = Literal["answered", "extrapolated", "more-seeds", "open"]
 
 
 class Part(BaseModel):
     """A part of the answer."""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True)
 
 
-class Range(Part):
-    """An estimate with its 95 % interval."""
-
-    value: float | None = Field(description="The estimate.")
-    low: float | None = Field(description="Lower end; null: too few seeds.")
-    high: float | None = Field(description="Upper end; null: too few seeds.")
-
-
-class Rung(Part):
-    """One number of samples."""
+class Size(Part):
+    """One number of samples of one variant, held against the tolerance."""
 
     label: str = Field(description="Name of the set of samples.")
     n_samples: int = Field(description="Samples.")
     n_seeds: int = Field(description="Trainings; 1 for a method without chance.")
     n_met: int = Field(description="Trainings that meet the tolerance.")
     n_undecided: int = Field(
-        description="Trainings counted as failed though it is not proved that they fail: their "
-        "certificate stopped with the tolerance between its bounds."
+        description="Trainings counted as failed though it is not proved that they fail: the "
+        "tolerance lies between what they attain and their proved bound."
     )
-    n_certified: int = Field(description="Trainings whose error is proved.")
-    success: float = Field(description="How often the best of `best_of` trainings meets it.")
-    success_lower: float | None = Field(
-        description="One-sided Clopper-Pearson lower end of that; null: nothing is left to chance."
+    n_certified: int = Field(description="Trainings whose error is a proved bound.")
+    success_rate: float = Field(description="How often the best of `best_of` trainings meets it.")
+    success_rate_lcb: float | None = Field(
+        description="One-sided Clopper-Pearson lower bound of that at `confidence.each`; null: "
+        "nothing is left to chance."
     )
-    meets: bool = Field(description="Whether `success_lower` reaches `success_share`.")
-    kept_mm: float | None = Field(
+    meets: bool = Field(description="Whether that reaches `success_share`.")
+    tolerance_bound_mm: Number = Field(
         description="Smallest tolerance that would be met at that share and confidence [mm]; null: "
         "too few trainings for any, or too many diverged."
     )
-    error_best_mm: float | None = Field(description="Smallest error of a training [mm].")
-    error_median_mm: float | None = Field(description="Median over trainings [mm].")
-    error_worst_mm: float | None = Field(
+    error_best_mm: Number = Field(description="Smallest error of a training [mm].")
+    error_median_mm: Number = Field(description="Median over trainings [mm].")
+    error_worst_mm: Number = Field(
         description="Largest error of a training [mm]; null: one diverged."
     )
 
-
-class Below(Part):
-    """The rung below the answer, and by how much it fails."""
-
-    n_samples: int = Field(description="Samples.")
-    short: float | None = Field(
-        description="By how much `success_lower` falls short of `success_share`; null: no chance."
-    )
-    excess_mm: float | None = Field(
-        description="By how much `kept_mm` exceeds the tolerance [mm]; null: not known."
-    )
-
-
-class HeldOut(Part):
-    """The largest rung, predicted from the smaller ones."""
-
-    n_samples: int = Field(description="Samples.")
-    observed_mm: float = Field(description="Its error [mm].")
-    predicted_mm: Range = Field(description="What the curve through the others says [mm].")
-    relative_error: float = Field(description="By which share that is too high or too low.")
-
-
-class LearningCurve(Part):
-    """A learning curve fitted to one error for each number of samples."""
-
-    law: Literal["power", "grid"] = Field(
-        description="a + b n^(-c), or a + b / (m - 1)^2 for grids of m points per axis."
-    )
-    n_samples: list[int] = Field(description="Numbers of samples fitted.")
-    observed_mm: list[float] = Field(description="The errors fitted [mm].")
-    floor_mm: Range = Field(description="a [mm].")
-    scale_mm: Range = Field(description="b [mm].")
-    exponent: Range = Field(description="c; 2, in m - 1, for the grid law.")
-    unidentified: str = Field(description="Why a, b and c cannot be told; empty: they can.")
-    held_out: HeldOut | None = Field(description="A test of the curve; null: too few rungs.")
+    @property
+    def certified(self) -> bool:
+        """Whether the error of every training is a proved bound."""
+        return self.n_certified == self.n_seeds
 
 
 class Extrapolation(Part):
-    """What the learning curves say beyond the ladder."""
+    """What the learning curve says beyond the sizes tried."""
 
-    curve: LearningCurve | None = Field(
-        description="The curve used, of the error that `success_share` of the trainings do not "
-        "exceed; null: none."
+    n_samples: int | None = Field(description="Samples to take; null: not to be said.")
+    needed: Interval | None = Field(
+        description="Samples at which the curves meet the tolerance, from the fewest to the most "
+        "that any of them says; null: not to be said."
     )
-    n_fit: float | None = Field(description="Where it meets the tolerance; null: nowhere.")
-    n_upper: float | None = Field(
-        description="Where it does with the confidence asked for; null: nowhere, or no interval."
-    )
-    reachable: float | None = Field(
-        description="Share of the resampled curves that ever come down to the tolerance."
-    )
-    level_mm: Range | None = Field(
-        description="The curve's error at 1000 times the most samples tried [mm]."
-    )
-    reason: str = Field(description="Why it is not trusted; empty: it is.")
+    record_next: int = Field(description="The size to record next, to see more of the curve.")
+    reason: str = Field(description="Why no number is given; empty: one is.")
 
 
-class Cause(Part):
+class Curve(Part):
+    """Whether a learning curve falls, and falls ever more slowly, as most do."""
+
+    monotone: bool = Field(description="No size has a larger error than a smaller one.")
+    convex: bool = Field(description="It falls ever more slowly with the samples.")
+
+
+class Diagnosis(Part):
     """Why a method fails, as far as the study's own data show it."""
 
     kind: Literal["fit", "training", "capacity", "samples-suffice"] = Field(
@@ -130,7 +92,7 @@ class Cause(Part):
     text: str = Field(description="The evidence, in a sentence.")
 
 
-class MethodAnswer(Part):
+class VariantAnswer(Part):
     """The answer for one method on samples placed by one design."""
 
     method: str = Field(description="Name in the study.")
@@ -138,32 +100,36 @@ class MethodAnswer(Part):
     kind: str = Field(description="Kind of method.")
     description: str = Field(description="What it is, in words.")
     status: Status = Field(
-        description="answered: a number of samples tried does it; extrapolated: the curve says "
-        "how many would; unreachable: its floor is above the tolerance; more-seeds: too few "
-        "trainings to tell; open: more than the most tried, and the curve does not say how many."
+        description="answered: a size tried does it; extrapolated: the learning curve says how "
+        "many would; more-seeds: too few trainings to tell; open: more than the most tried, and "
+        "the curve does not say how many."
     )
     n_samples: int | None = Field(description="The answer: samples; null: none.")
-    more_than: int | None = Field(
-        description="Most samples tried, where they were not enough; null: answered."
-    )
-    certified: bool = Field(
-        description="Whether every training at the answer (else at the most samples) is certified."
-    )
-    kept_mm: float | None = Field(description="`kept_mm` of the answer [mm].")
-    rungs: list[Rung] = Field(description="Every number of samples, fewest first.")
-    below: Below | None = Field(description="The rung below; null: not answered, or none smaller.")
-    not_counted: list[int] = Field(
-        description="Numbers of samples that meet it though a larger one does not."
-    )
+    sizes: list[Size] = Field(description="Every number of samples, fewest first.")
     seeds_needed: int | None = Field(
         description="Trainings that would settle it at the share seen; null: not the problem."
     )
-    curves: list[LearningCurve] = Field(
-        description="Learning curves of the interquartile mean over trainings, a curve per law."
-    )
-    extrapolation: Extrapolation | None = Field(description="Beyond the ladder; null: no need.")
-    causes: list[Cause] = Field(description="Why it fails, where the data show it.")
+    curve: Curve | None = Field(description="Its learning curve; null: fewer than three sizes.")
+    extrapolation: Extrapolation | None = Field(description="Null: no need.")
+    diagnosis: list[Diagnosis] = Field(description="Why it fails, where the data show it.")
     sentences: list[str] = Field(description="The same in plain English.")
+
+    @property
+    def found(self) -> Size | None:
+        """The size that is the answer."""
+        found = self.n_samples if self.status == "answered" else None
+        return next((size for size in self.sizes if size.n_samples == found), None)
+
+    @property
+    def shown(self) -> Size:
+        """The size to speak of: the answer, or else the most samples tried."""
+        return self.found or self.sizes[-1]
+
+    @property
+    def smaller(self) -> Size | None:
+        """The size below the answer."""
+        position = self.sizes.index(self.found) if self.found else 0
+        return self.sizes[position - 1] if position else None
 
 
 class Comparison(Part):
@@ -175,8 +141,16 @@ class Comparison(Part):
     other_design: str = Field(description="That one's samples.")
     n_samples: int = Field(description="Samples.")
     n_pairs: int = Field(description="Seeds both have.")
-    ratio: Range = Field(description="Median of the error over the other's.")
+    ratio: Interval = Field(description="Median of the error over the other's.")
     better: float = Field(description="Share of the seeds with the smaller error.")
+
+
+class Confidence(Part):
+    """How the confidence asked for is shared, so that all answers hold together."""
+
+    together: float = Field(description="Confidence that every answer of the study holds.")
+    n_variants: int = Field(description="Variants that share it: those left to chance.")
+    each: float = Field(description="Confidence at which each size of each of them is judged.")
 
 
 class Answer(Part):
@@ -185,11 +159,12 @@ class Answer(Part):
     version: int = Field(description="Version of this layout.")
     study: str = Field(description="Name of the study.")
     digest: str = Field(description="Digest of the study's settings.")
-    tolerance: Tolerance = Field(description="The wish, as in the study.")
+    tolerance: Tolerance = Field(description="What is required, as in the study.")
+    confidence: Confidence = Field(description="How sure, of all answers together.")
     n_points: int = Field(description="Points at which errors that are not certified are measured.")
-    ladder: list[int] = Field(description="Numbers of samples tried.")
+    sizes: list[int] = Field(description="Numbers of samples tried.")
     headline: str = Field(description="The answer in one sentence.")
-    methods: list[MethodAnswer] = Field(
+    variants: list[VariantAnswer] = Field(
         description="Every method on every design, in the study's order."
     )
     comparisons: list[Comparison] = Field(
@@ -197,21 +172,21 @@ class Answer(Part):
         "network on every design against it on the first."
     )
 
-    def method(self, name: str, design: str | None = None) -> MethodAnswer:
-        """One method's answer.
+    def variant(self, method: str, design: str | None = None) -> VariantAnswer:
+        """One variant's answer.
 
         Args:
-            name: The method.
+            method: The method.
             design: How its samples are placed; None: the study's first design.
 
         Raises:
             IksamplesError: There is none.
         """
-        for one in self.methods:
-            if one.method == name and design in (None, one.design):
+        for one in self.variants:
+            if one.method == method and design in (None, one.design):
                 return one
-        names = ", ".join(f"{one.method} on {one.design}" for one in self.methods)
-        asked = f"'{name}' on {design}" if design else f"'{name}'"
+        names = ", ".join(f"{one.method} on {one.design}" for one in self.variants)
+        asked = f"'{method}' on {design}" if design else f"'{method}'"
         raise IksamplesError(f"{self.study}: no method {asked}; there are {names}.")
 
     def to_json(self) -> str:
@@ -256,6 +231,24 @@ def read_answer(results: str | Path) -> Answer:
     return answer
 
 
+def newest(folder: str | Path) -> Path:
+    """The results folder of the study that was answered last.
+
+    Args:
+        folder: Holds a folder for each study, such as ``results``.
+
+    Raises:
+        IksamplesError: No study there is finished.
+    """
+    answers = list(Path(folder).glob(f"*/{FILE}"))
+    if not answers:
+        raise IksamplesError(
+            f"{folder}: no finished study. Run one to its end with snakemake --cores 2, or name "
+            "another results folder with --results."
+        )
+    return max(answers, key=lambda file: (file.stat().st_mtime, file)).parent
+
+
 def recommend(results: str | Path) -> str:
     """What a finished study recommends, in plain English, from its ``answer.json`` alone.
 
@@ -267,12 +260,19 @@ def recommend(results: str | Path) -> str:
     """
     answer = read_answer(results)
     blocks = [answer.headline]
-    for one in answer.methods:
+    for one in answer.variants:
         lines = [
             f"{one.method}, {one.design}: {one.description}",
             *(f"  {text}" for text in one.sentences),
         ]
         blocks.append("\n".join(lines))
+    curves = [one.curve for one in answer.variants if one.curve]
+    rising = sum(not curve.monotone for curve in curves)
+    bent = sum(curve.monotone and not curve.convex for curve in curves)
+    blocks.append(
+        f"Of {len(curves)} learning curves, {rising} rise somewhere, and {bent} fall, but not ever "
+        "more slowly."
+    )
     return "\n\n".join(blocks)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from iksamples.columns import CERTIFICATES, ERRORS, RUNS
+from iksamples.columns import ERRORS, RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
 from iksamples.results import Cell, cells, certified, networks
@@ -38,13 +38,12 @@ class Variant(NamedTuple):
     design: str
 
 
-def collect(study: Study, results: str | Path, method: str | None = None) -> "pd.DataFrame":
+def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     """Every training of a study, as one table.
 
     Args:
         study: The study.
         results: Its results folder, such as ``results/paper``.
-        method: Only of this method; None: of all.
 
     Returns:
         Columns ``columns.RUNS``, a row per method, design, set of samples, seed and region, in the
@@ -58,7 +57,7 @@ def collect(study: Study, results: str | Path, method: str | None = None) -> "pd
 
     sets: dict[str, SampleSet] = {}
     frames = []
-    for name in [method] if method else study.all_methods:
+    for name in study.all_methods:
         for design in study.samples.designs:
             for cell in cells(study, results, name, design):
                 if cell.label not in sets:
@@ -67,7 +66,7 @@ def collect(study: Study, results: str | Path, method: str | None = None) -> "pd
     rows = pd.concat(frames, ignore_index=True)
     if rows.empty:
         raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
-    bounds = _bounds(certificates(study, results, method))
+    bounds = _bounds(certificates(study, results))
     rows = rows.merge(bounds, on=[*_KEYS, "region"], how="left")
     rows["verified"] = rows["verified"].eq(True) & ~rows["diverged"]
     rows.loc[~rows["verified"], _SUP] = np.nan
@@ -85,8 +84,6 @@ def certificates(study: Study, results: str | Path, method: str | None = None) -
 
     frames = []
     for name in certified(study):
-        if method not in (None, name):
-            continue
         file = Path(results) / name / "certificates.csv"
         try:
             frames.append(pd.read_csv(file))
@@ -94,8 +91,6 @@ def certificates(study: Study, results: str | Path, method: str | None = None) -
             raise IksamplesError(
                 f"{file}: cannot be read ({error}). Run the study to its end."
             ) from None
-    if not frames:
-        return pd.DataFrame(columns=list(CERTIFICATES))
     table = pd.concat(frames, ignore_index=True)
     if table.duplicated(_KEYS).any():
         raise IksamplesError(

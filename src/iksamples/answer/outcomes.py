@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
-from iksamples.errors import IksamplesError
 from iksamples.results import Cell, cells
 from iksamples.study import Study, Tolerance
 
@@ -78,30 +77,6 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
         rows["error_mm"] = rows["sup_upper_mm"].fillna(measured)
         rows["attained_mm"] = np.fmin(np.fmax(measured, rows["sup_lower_mm"]), rows["sup_upper_mm"])
     return rows[list(COLUMNS)]
-
-
-def by_rung(of_variant: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":
-    """The outcomes of one variant for each number of samples, fewest first.
-
-    Raises:
-        IksamplesError: Two sets of its samples have the same number of samples.
-    """
-    groups = []
-    for n in sorted(of_variant["n_samples"].unique()):
-        group = of_variant[of_variant["n_samples"] == n]
-        if group["label"].nunique() > 1:
-            labels = " and ".join(group["label"].unique())
-            raise IksamplesError(f"{labels} have {n} samples both; leave one of them out.")
-        groups.append((int(n), group))
-    return groups
-
-
-def errors_matrix(of_variant: "pd.DataFrame") -> "pd.DataFrame":
-    """Errors of one variant [mm], a row per seed and a column per number of samples.
-
-    Only the seeds that every number of samples has, so that a row is the same seed all along.
-    """
-    return of_variant.pivot(index="seed", columns="n_samples", values="error_mm").dropna()
 
 
 def errors_at_samples(study: Study, cell: Cell) -> "np.ndarray | None":

@@ -1,12 +1,14 @@
 """The answer in sentences. Each says what is certified, measured or extrapolated, and how sure."""
 
-import math
+from collections.abc import Sequence
 
-from iksamples.answer.answer import Rung
-from iksamples.answer.beyond import Beyond, is_random
-from iksamples.answer.curves import NEVER
-from iksamples.answer.finding import Finding
-from iksamples.answer.words import (
+import numpy as np
+
+from iksamples.answer.answer import Confidence, Size, VariantAnswer
+from iksamples.evaluation.paths import count_waypoints
+from iksamples.samples.record import N_CORNERS
+from iksamples.study import NETWORK, Study
+from iksamples.text import (
     described,
     millimetres,
     percent,
@@ -16,40 +18,115 @@ from iksamples.answer.words import (
     several,
     whole,
 )
-from iksamples.evaluation.paths import count_waypoints
-from iksamples.samples.record import N_CORNERS
-from iksamples.study import NETWORK, Study
 
 
-def headline(study: Study, findings: list[Finding]) -> str:
-    """The wish, the variant that needs fewest samples, the study's own network, and the best other.
+_ASKED = {
+    "mean": "For a mean error of at most {limit} over {place}",
+    "p95": "For 95 % of {place} within {limit}",
+    "p99": "For 99 % of {place} within {limit}",
+    "proved": "For every point of {place} within {limit}",
+    "worst": "For all {points} measured {along} {place} within {limit}",
+}
+_SURE = ", with {sure} that at least {share} of trainings succeed"
+_SURE_OF_BEST = ", with {sure} that the best of {k} trainings succeeds at least {share} of the time"
+_CLAUSES = {
+    "answered": "{what} needs {n} ({evidence}: {bound})",
+    "analytic": "{what} needs none",
+    "more-seeds": "for {what}, {trainings} cannot tell ({seeds} might do)",
+    "extrapolated": "{what} needs more than {largest} (extrapolated: {n})",
+    "open": "{what} needs more than {largest}",
+}
+_ANSWERED = {
+    "network": "With {samples}, {met}. The required share of trainings is within {bound} "
+    "({evidence}).",
+    "analytic": "It needs no samples; its error is {bound} ({evidence}).",
+    "other": "With {samples} the error is {bound} ({evidence}), without chance.",
+}
+_MORE_SEEDS = (
+    "More trainings succeeded than required, but {trainings} cannot make sure of it: if the share "
+    "stays as it is, {seeds} would (training.seeds). Take fresh seeds: adding some until it holds "
+    "would spoil the confidence."
+)
+_EXTRAPOLATED = (
+    "Extrapolated, not tried: {n}. The laws fitted to its learning curve come down to {limit} "
+    "between {low} and {high}, if it goes on as it has."
+)
+_REFUSED = "How many it takes cannot be said: {reason}. Record more first, for example {n}."
+
+
+def headline(study: Study, variants: Sequence[VariantAnswer], confidence: Confidence) -> str:
+    """What is required, the variant that needs fewest samples, and what others need.
 
     The exact inverse is a reference and recommended to nobody who asks for samples.
     """
-    candidates = [one for one in findings if _kind(study, one) != "analytic"] or findings
-    answered = [one for one in candidates if one.status == "answered"]
-    answered.sort(
-        key=lambda one: (one.n_samples, not _certified(one), _kind(study, one) != "network")
-    )
+    candidates = [one for one in variants if one.kind != "analytic"] or list(variants)
+    answered = [one for one in candidates if one.found]
+    answered.sort(key=lambda one: (one.n_samples, not one.shown.certified, one.kind != "network"))
     best = answered[:1]
-    networks = [one for one in answered if _kind(study, one) == "network"]
-    own = [one for one in findings if one.variant.method == NETWORK]
-    rest = [one for one in answered if _kind(study, one) != "network"]
-    # Who wants a proof, and not a measurement, is told what that takes.
-    proved = [one for one in answered if _certified(one) and not _certified(best[0])]
-    others: list[Finding] = []
-    for one in (*networks[:1], *proved[:1], *own[:1], *rest[:1]):
-        if one not in (*best, *others):
-            others.append(one)
-    clauses = [_lead(study, one) for one in best]
-    clauses += [_clause(study, one) for one in others or ([] if best else candidates[:1])]
-    return f"{_wish(study, findings)}: {'; '.join(clauses)}."
+    # Then the best network, the best that is proved, the study's own, the best without chance.
+    others = [
+        *[one for one in answered if one.kind == "network"][:1],
+        *[one for one in answered if one.shown.certified and not best[0].shown.certified][:1],
+        *[one for one in variants if one.method == NETWORK][:1],
+        *[one for one in answered if one.kind != "network"][:1],
+    ]
+    rest = [one for i, one in enumerate(others) if one not in best and one not in others[:i]]
+    lead = [
+        f"{several(one.shown.n_samples, 'sample')}{placed(study, one.design)} and "
+        f"{described(study, one.method)} ({_evidence(study, one.shown)}: {_bound(one.shown)})"
+        for one in best
+    ]
+    clauses = [_clause(study, one) for one in rest or ([] if best else candidates[:1])]
+    return f"{_asked(study, variants, confidence)}: {'; '.join(lead + clauses)}."
 
 
-def told(study: Study, one: Finding) -> list[str]:
-    """One variant's answer, and by how much the rung below it fails; or why there is none."""
-    lines = _answered(study, one) if one.status == "answered" else _not_answered(study, one)
-    return lines + _luck(one.rungs, one.found) + _undecided(one.shown)
+def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
+    """One variant's answer, and by how much the size below it fails; or why there is none."""
+    size, beyond = one.shown, one.extrapolation
+    lines = []
+    if one.found:
+        kind = one.kind if one.kind in _ANSWERED else "other"
+        lines.append(
+            _ANSWERED[kind].format(
+                samples=several(size.n_samples, "sample"),
+                met=_met(study, size, confidence),
+                bound=_bound(size),
+                evidence=_evidence(study, size),
+            )
+        )
+        if one.kind != "analytic":
+            smaller = one.smaller
+            fails = _failing(study, smaller, confidence) if smaller else ""
+            lines.append(f"One size below fails: {fails}." if fails else "Fewer were not tried.")
+    else:
+        lines.append(f"The most samples tried fail: {_failing(study, size, confidence)}.")
+    if one.seeds_needed:
+        trainings, seeds = several(size.n_seeds, "training"), whole(one.seeds_needed)
+        lines.append(_MORE_SEEDS.format(trainings=trainings, seeds=seeds))
+    elif beyond and beyond.needed:
+        lines.append(
+            _EXTRAPOLATED.format(
+                n=several(beyond.record_next, "sample"),
+                limit=plain_millimetres(study.tolerance.error_mm),
+                low=whole(np.floor(beyond.needed.low)),
+                high=whole(np.ceil(beyond.needed.high)),
+            )
+        )
+    elif beyond:
+        n = several(beyond.record_next, "sample")
+        lines.append(_REFUSED.format(reason=beyond.reason, n=n))
+    below = one.sizes[: one.sizes.index(size)] if one.found else one.sizes
+    lucky = [smaller for smaller in below if smaller.meets]
+    if lucky:
+        which = " and ".join(whole(smaller.n_samples) for smaller in lucky)
+        lines.append(f"{which} samples meet it as well, but a larger size does not: not counted.")
+    if size.n_undecided:
+        lines.append(
+            f"With {several(size.n_samples, 'sample')} "
+            f"{several(size.n_undecided, 'training')} counted as failed may succeed: the search "
+            "for the certificate ended too early to tell."
+        )
+    return lines
 
 
 def points_measured(study: Study) -> int:
@@ -60,146 +137,74 @@ def points_measured(study: Study) -> int:
     return count_waypoints(study.evaluation.paths[where])
 
 
-def _wish(study: Study, findings: list[Finding]) -> str:
-    """What is asked for, as the head of a sentence."""
+def _asked(study: Study, variants: Sequence[VariantAnswer], confidence: Confidence) -> str:
+    """What is required, as the head of a sentence."""
     tolerance = study.tolerance
-    at_most = plain_millimetres(tolerance.error_mm)
+    proved = tolerance.of == "worst" and any(one.shown.certified for one in variants)
     path = tolerance.where != "workspace"
-    place = f"the path {tolerance.where}" if path else "the workspace"
-    if tolerance.of == "mean":
-        text = f"For a mean error of at most {at_most} over {place}"
-    elif tolerance.of != "worst":
-        text = f"For {tolerance.of[1:]} % of {place} within {at_most}"
-    elif any(_certified(one) for one in findings):
-        text = f"For every point of {place} within {at_most}"
-    else:
-        along = "along" if path else "in"
-        text = f"For all {_points(study)} measured {along} {place} within {at_most}"
-    if not any(is_random(study, one.variant.method) for one in findings):
+    text = _ASKED["proved" if proved else tolerance.of].format(
+        limit=plain_millimetres(tolerance.error_mm),
+        place=f"the path {tolerance.where}" if path else "the workspace",
+        points=_points(study),
+        along="along" if path else "in",
+    )
+    if not confidence.n_variants:
         return text
-    sure, share = percent(tolerance.confidence), percent(tolerance.success_share)
-    if tolerance.best_of == 1:
-        return f"{text}, with {sure} confidence that at least {share} of trainings succeed"
-    return (
-        f"{text}, with {sure} confidence that the best of {tolerance.best_of} trainings succeeds "
-        f"at least {share} of the time"
+    sure = _SURE if tolerance.best_of == 1 else _SURE_OF_BEST
+    return text + sure.format(
+        sure=_confidence(confidence), share=percent(tolerance.success_share), k=tolerance.best_of
     )
 
 
-def _lead(study: Study, one: Finding) -> str:
-    """The clause of the variant that the headline recommends."""
-    subject, proof = described(study, one.variant.method), _proof(study, one.shown)
-    both = f"{subject[:-1]}; {proof})" if subject.endswith(")") else f"{subject} ({proof})"
-    n = several(one.shown.n_samples, "sample")
-    return f"{n}{placed(study, one.variant.design)} and {both}"
+def _confidence(confidence: Confidence) -> str:
+    """``95 % confidence``, and for how many variants at once."""
+    text = f"{percent(confidence.together)} confidence"
+    if confidence.n_variants == 1:
+        return text
+    return f"{text} for all {confidence.n_variants} variants of networks together"
 
 
-def _clause(study: Study, one: Finding) -> str:
-    """The clause of any other variant."""
-    method, rung = one.variant.method, one.shown
-    subject = described(study, method) + placed(study, one.variant.design)
-    if one.status == "answered":
-        if _kind(study, one) == "analytic":
-            return f"{subject} needs none"
-        return f"{subject} needs {whole(rung.n_samples)} ({_proof(study, rung)})"
-    if one.status == "more-seeds":
-        few = f"{several(rung.n_seeds, 'training')} cannot tell"
-        return f"for {subject}, {few} ({whole(one.seeds or 0)} might do)"
-    if one.status == "unreachable":
-        return f"with {subject} it is not reachable, however many samples (by its learning curve)"
-    more = f"{subject} needs more than {whole(rung.n_samples)}"
-    if one.status == "extrapolated" and one.n_samples:
-        return f"{more} (extrapolated: {whole(one.n_samples)})"
-    return more
+def _clause(study: Study, one: VariantAnswer) -> str:
+    """The clause of a variant that is not the best."""
+    size = one.shown
+    status = "analytic" if one.found and one.kind == "analytic" else one.status
+    return _CLAUSES[status].format(
+        what=described(study, one.method) + placed(study, one.design),
+        n=whole(one.n_samples or 0),
+        largest=whole(size.n_samples),
+        evidence=_evidence(study, size),
+        bound=_bound(size),
+        trainings=several(size.n_seeds, "training"),
+        seeds=whole(one.seeds_needed or 0),
+    )
 
 
-def _answered(study: Study, one: Finding) -> list[str]:
-    """An answer that lies on the ladder, and the rung below it."""
-    rung, below = one.shown, one.smaller
-    proof = _evidence(study, rung)
-    head = f"With {several(rung.n_samples, 'sample')}"
-    if _kind(study, one) == "analytic":
-        return [f"It needs no samples; its error is {_shown(rung.kept_mm)} ({proof})."]
-    if rung.success_lower is None:
-        lines = [f"{head} the error is {_shown(rung.kept_mm)} ({proof}); nothing in it is chance."]
-    else:
-        lines = [
-            f"{head} {_met(study, rung)}. As sure as wished, it keeps to {_shown(rung.kept_mm)} "
-            f"({proof})."
-        ]
-    if below is None:
-        return [*lines, "Fewer samples were not tried."]
-    return [*lines, f"One rung below it fails: {_failing(study, below)}."]
+def _met(study: Study, size: Size, confidence: Confidence) -> str:
+    """How many trainings succeeded, and what follows for all."""
+    met = f"{size.n_met} of {several(size.n_seeds, 'training')} succeed"
+    if not size.success_rate_lcb:
+        return met
+    best_of = study.tolerance.best_of
+    who = "of trainings do" if best_of == 1 else f"of the time the best of {best_of} does"
+    lower = percent_down(size.success_rate_lcb)
+    return f"{met}; with {_confidence(confidence)} at least {lower} {who}"
 
 
-def _not_answered(study: Study, one: Finding) -> list[str]:
-    """A tolerance that the ladder does not meet."""
-    rung, beyond, tolerance = one.shown, one.beyond, study.tolerance
-    verdict = "cannot be confirmed" if one.status == "more-seeds" else "fail"
-    lines = [f"The most samples tried {verdict}: {_failing(study, rung)}."]
-    if one.status == "more-seeds":
-        lines.append(
-            "The share that succeeded is larger than wished, but "
-            f"{several(rung.n_seeds, 'training')} cannot make sure of it: if it stays as it is, "
-            f"{whole(one.seeds or 0)} would be enough (training.seeds); fresh seeds, and not "
-            "seeds added until it holds, keep the confidence what it says."
-        )
-    if beyond is None or one.status == "more-seeds":
-        return lines
-    if one.status == "unreachable" and beyond.curve:
-        level = beyond.curve.level_mm
-        lines.append(
-            f"Not reachable with this method, however many samples: by its learning curve even "
-            f"{whole(NEVER)} times the most tried leave {millimetres(level.value)} (95 % interval "
-            f"{millimetres(level.low)} to {millimetres(level.high)}) where "
-            f"{plain_millimetres(tolerance.error_mm)} are wished. {_test_of(beyond)}"
-        )
-    elif one.status == "extrapolated" and beyond.curve and beyond.n_samples:
-        needed = beyond.curve.needed(tolerance.error_mm, tolerance.confidence)
-        sure = "if it goes on as it has"
-        if beyond.curve.floor_mm.known:
-            most = whole(math.ceil(needed.upper))
-            sure = f"with {percent(tolerance.confidence)} confidence at no more than {most}, {sure}"
-        lines.append(
-            f"Extrapolated, not tried: {several(beyond.n_samples, 'sample')}. The learning "
-            f"curve comes down to the tolerance at {whole(math.ceil(needed.n_samples))} ({sure}). "
-            f"{_test_of(beyond)}"
-        )
-    else:
-        lines.append(f"How many it would take cannot be said: {beyond.reason}.")
-    return lines
+def _failing(study: Study, size: Size, confidence: Confidence) -> str:
+    """How far a size is from what is required."""
+    excess_mm = size.tolerance_bound_mm - study.tolerance.error_mm
+    much = f", {millimetres(excess_mm)} too much" if np.isfinite(excess_mm) else ""
+    samples = several(size.n_samples, "sample")
+    if size.success_rate_lcb is None:
+        return f"with {samples} the error is {_bound(size)}{much}"
+    share = percent(study.tolerance.success_share)
+    text = f"with {samples}, {_met(study, size, confidence)}, where {share} are required"
+    return f"{text}; the required share is within {_bound(size)}{much}" if much else text
 
 
-def _luck(rungs: list[Rung], found: Rung | None) -> list[str]:
-    """Rungs that meet the wish though a larger one does not."""
-    below = rungs[: rungs.index(found)] if found else rungs
-    lucky = [rung for rung in below if rung.meets]
-    if not lucky:
-        return []
-    larger = next(rung for rung in reversed(below) if not rung.meets)
-    which = " and ".join(whole(rung.n_samples) for rung in lucky)
-    return [
-        f"{which} samples meet the wish as well, but {whole(larger.n_samples)} do not, so that is "
-        "not counted."
-    ]
-
-
-def _undecided(rung: Rung) -> list[str]:
-    """Certificates that stopped before they could tell."""
-    if not rung.n_undecided:
-        return []
-    return [
-        f"With {several(rung.n_samples, 'sample')} {several(rung.n_undecided, 'training')} "
-        "counted as failed may succeed: the search for the certificate ended too early to tell."
-    ]
-
-
-def _kind(study: Study, one: Finding) -> str:
-    return study.all_methods[one.variant.method].kind
-
-
-def _certified(one: Finding) -> bool:
-    return one.shown.n_certified == one.shown.n_seeds
+def _evidence(study: Study, size: Size) -> str:
+    """``certified``, or how it was measured."""
+    return "certified" if size.certified else f"measured at {_points(study)}, not certified"
 
 
 def _points(study: Study) -> str:
@@ -207,59 +212,6 @@ def _points(study: Study) -> str:
     return several(points_measured(study), word)
 
 
-def _evidence(study: Study, rung: Rung) -> str:
-    """``certified``, or how it was measured."""
-    if rung.n_certified < rung.n_seeds:
-        return f"measured at {_points(study)}, not certified"
-    return "certified"
-
-
-def _proof(study: Study, rung: Rung) -> str:
-    """The tolerance that a rung would even meet, and what shows it: ``certified: 1.60 mm``."""
-    return f"{_evidence(study, rung)}: {_shown(rung.kept_mm)}"
-
-
-def _met(study: Study, rung: Rung) -> str:
-    """How many trainings succeeded, and what follows for all."""
-    tolerance = study.tolerance
-    lower, sure = percent_down(rung.success_lower or 0), percent(tolerance.confidence)
-    met = f"{rung.n_met} of {several(rung.n_seeds, 'training')} succeed"
-    if not rung.n_met:
-        return met
-    if tolerance.best_of == 1:
-        return f"{met}; with {sure} confidence at least {lower} of all trainings do"
-    best = f"the best of {tolerance.best_of} does at least {lower} of the time"
-    return f"{met}; with {sure} confidence {best}"
-
-
-def _failing(study: Study, rung: Rung) -> str:
-    """How far a rung is from the wish."""
-    tolerance = study.tolerance
-    head = f"with {several(rung.n_samples, 'sample')}"
-    excess = "" if rung.kept_mm is None else millimetres(rung.kept_mm - tolerance.error_mm)
-    if rung.success_lower is None:
-        much = f", {excess} too much" if excess else ""
-        return f"{head} the error is {_shown(rung.kept_mm)}{much}"
-    text = f"{head} {_met(study, rung)}, where {percent(tolerance.success_share)} are wished"
-    if rung.kept_mm is None:
-        return text
-    return f"{text}. As sure as wished, it keeps to {millimetres(rung.kept_mm)}, {excess} too much"
-
-
-def _shown(error_mm: float | None) -> str:
-    return "not finite" if error_mm is None else millimetres(error_mm)
-
-
-def _test_of(beyond: Beyond) -> str:
-    """How well the curve did on the rung that was held out."""
-    curve = beyond.curve
-    if curve is None or curve.held_out is None:
-        return ""
-    held_out = curve.held_out
-    much = percent(abs(held_out.relative_error))
-    way = "high" if held_out.relative_error > 0 else "low"
-    law = "a + b n^-c" if curve.law == "power" else "a + b / (m - 1)^2"
-    return (
-        f"A test of the curve ({law}): fitted without the {whole(held_out.n_samples)} samples, it "
-        f"is {much} too {way} there."
-    )
+def _bound(size: Size) -> str:
+    bound_mm = size.tolerance_bound_mm
+    return millimetres(bound_mm) if np.isfinite(bound_mm) else "not finite"

@@ -8,7 +8,6 @@ import typer
 
 from iksamples.cli.common import (
     Output,
-    Results,
     StudyFile,
     advise,
     app,
@@ -89,13 +88,25 @@ def plan(
 
 
 @app.command()
-def recommend(results: Results) -> None:
+def recommend(
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            help="Results folder of the study; by default the one in results/ answered last.",
+            file_okay=False,
+        ),
+    ] = None,
+) -> None:
     """Print the answer of a finished study: how many samples, by which method, how sure."""
+    from iksamples.answer.answer import newest
     from iksamples.answer.answer import recommend as advise
-    from iksamples.answer.calibration import read_calibrations
+    from iksamples.answer.replication import read_replications
 
+    if results is None:
+        results = newest("results")
+        typer.echo(f"{results}, the study answered last:\n")
     typer.echo(advise(results))
-    for one in read_calibrations(results):
+    for one in read_replications(results):
         typer.echo(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
 
 

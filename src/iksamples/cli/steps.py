@@ -1,6 +1,7 @@
 """One command per step of the workflow, each usable by hand on files."""
 
 from pathlib import Path
+from shutil import copyfile
 from typing import Annotated
 
 import typer
@@ -201,10 +202,9 @@ def table(study_file: StudyFile, results: Results) -> None:
 @app.command()
 def answer(study_file: StudyFile, results: Results) -> None:
     """Answer how many samples each method needs: answer.json and samples-needed.csv."""
+    from iksamples.answer.assess import answer_study, samples_needed
     from iksamples.answer.collect import read_runs
-    from iksamples.answer.finding import samples_needed
     from iksamples.answer.outcomes import outcomes
-    from iksamples.answer.size import answer_study
     from iksamples.study import read_study
 
     study = read_study(study_file)
@@ -217,21 +217,50 @@ def answer(study_file: StudyFile, results: Results) -> None:
 
 
 @app.command()
-def calibrate(study_file: StudyFile, results: Results, output: Output) -> None:
-    """Train the answer's networks again with fresh seeds, and count how many meet the tolerance."""
-    from iksamples.answer.calibration import to_json
-    from iksamples.answer.fresh import calibrate_results
+def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
+    """Train the answer's networks again with fresh seeds, and count how many meet the tolerance.
 
-    study, task = open_study(study_file)
-    if not study.calibration.seeds:
+    The steps are the study's own, on its samples, for a study of the fresh seeds alone that lies in
+    fresh/ among its results.
+    """
+    from iksamples.answer.answer import read_answer
+    from iksamples.answer.collect import read_runs
+    from iksamples.answer.outcomes import outcomes
+    from iksamples.answer.replication import (
+        FRESH,
+        answers_to_replicate,
+        fresh_study,
+        replication,
+        to_json,
+    )
+    from iksamples.results import sample_sets
+    from iksamples.study import NETWORK, read_study
+
+    study, answer = read_study(study_file), read_answer(results)
+    if not study.replication.seeds:
         raise IksamplesError(
-            f"{study_file}: calibration.seeds is 0; say how many fresh trainings, 200 for example."
+            f"{study_file}: replication.seeds is 0; say how many fresh trainings, 200 for example."
         )
-    found = calibrate_results(study, task, results, progress=True)
+    found = []
+    for one in answers_to_replicate(answer):
+        fresh = fresh_study(study, one)
+        folder = results / FRESH / f"{one.method}-{one.design}"
+        settings, network = folder / "study.json", folder / NETWORK
+        with whole_file(settings) as file:
+            file.write_text(fresh.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        sets = [folder / "samples" / f"{label}.parquet" for label in sample_sets(fresh)]
+        for samples in sets:
+            with whole_file(samples) as file:
+                copyfile(results / "samples" / samples.name, file)
+        train(settings, sets, folder, folder / "cache")
+        evaluate(settings, sets, [NETWORK], folder)
+        prove(settings, sets, NETWORK, network, network / "certificates.csv")
+        collect(settings, folder)
+        check = replication(study.tolerance, one, outcomes(fresh, read_runs(folder)))
+        typer.echo(f"{one.method}, {one.design}: {check.statement}")
+        found.append(check)
     with whole_file(output) as file:
         file.write_text(to_json(found), encoding="utf-8")
-    for one in found:
-        typer.echo(f"{one.method}, {one.design}: {one.statement}")
 
 
 @app.command()

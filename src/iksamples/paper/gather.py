@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.answer.curves import Curve, fit_published, fit_seeds
-from iksamples.answer.statistics import FEWEST_SEEDS, draws
+from iksamples.answer.curves import GridCurve, fit_published, fit_seeds
 from iksamples.arm.chain import Floats
 from iksamples.evaluation.errors import send
 from iksamples.paper.audit import input_jacobian, scale_mm
@@ -16,6 +15,7 @@ from iksamples.paper.evidence import AVERAGE_NAMES, Ends, Evidence, GridEvidence
 from iksamples.paper.table import paper_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import region_points
+from iksamples.stats import FEWEST_SEEDS, draws
 from iksamples.study import NETWORK, Study
 from iksamples.task import Task
 
@@ -148,10 +148,8 @@ def _grid(
     )
 
 
-def _paper_curve(published: "pd.DataFrame") -> Curve | None:
+def _paper_curve(published: "pd.DataFrame") -> GridCurve | None:
     return fit_published(
-        "grid",
-        published["n_samples"],
         published.index.to_numpy(float),
         published["paper_error_mm"],
         published["paper_error_sd_mm"],
@@ -159,7 +157,7 @@ def _paper_curve(published: "pd.DataFrame") -> Curve | None:
     )
 
 
-def _our_curve(study: Study, sound: Sequence[Cell]) -> Curve | None:
+def _our_curve(study: Study, sound: Sequence[Cell]) -> GridCurve | None:
     import pandas as pd
 
     sets = {cell.samples.n_samples: cell.samples.points_per_axis for cell in sound}
@@ -168,9 +166,9 @@ def _our_curve(study: Study, sound: Sequence[Cell]) -> Curve | None:
     if errors.empty:
         return None
     resampled = draws(len(errors), np.random.default_rng(_STREAM))
-    return fit_seeds("grid", list(sets), list(sets.values()), errors.to_numpy(float), resampled)
+    return fit_seeds(list(sets.values()), errors.to_numpy(float), resampled)
 
 
-def _misfit(curve: Curve) -> float:
-    fitted = curve.at(curve.n_samples, curve.points_per_axis)
+def _misfit(curve: GridCurve) -> float:
+    fitted = curve.at(curve.points_per_axis)
     return float(np.max(np.abs(fitted / curve.observed_mm - 1)))

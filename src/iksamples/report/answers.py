@@ -24,19 +24,18 @@ def answer(data: ReportData) -> dict[str, Any]:
     if found is None:
         return {}
     methods, sizes = [], []
-    for one in found.methods:
+    for one in found.variants:
         head: dict[str, Any] = {"Method": code(one.method), **_design(data, one.design)}
-        tried = next((size for size in one.rungs if size.n_samples == one.n_samples), one.rungs[-1])
-        proved = tried.n_certified == tried.n_seeds
-        lowest = tried.success_lower
+        tried = one.shown
+        lowest = tried.success_rate_lcb
         methods.append(
             head
             # A row per design would say the same of a method again and again.
             | ({} if data.several_designs else {"What it is": one.description})
             | {
                 "Samples needed": _needed(one),
-                "Error [mm]": tried.kept_mm,
-                "Shown by": "proof" if proved else "measurement",
+                "Error [mm]": tried.tolerance_bound_mm,
+                "Shown by": "proof" if tried.certified else "measurement",
                 "Trainings that meet it": "deterministic"
                 if lowest is None
                 else f"{tried.n_met} of {tried.n_seeds}"
@@ -49,14 +48,14 @@ def answer(data: ReportData) -> dict[str, Any]:
                 "Samples": size.n_samples,
                 "Trainings": size.n_seeds,
                 "Meet it": size.n_met,
-                "Share at least [%]": _scaled(size.success_lower, 100),
-                "Error bound [mm]": size.kept_mm,
+                "Share at least [%]": _scaled(size.success_rate_lcb, 100),
+                "Error bound [mm]": size.tolerance_bound_mm,
                 "Best [mm]": size.error_best_mm,
                 "Median [mm]": size.error_median_mm,
                 "Worst [mm]": size.error_worst_mm,
                 "Proved": size.n_certified,
             }
-            for size in one.rungs
+            for size in one.sizes
         ]
     return {
         "methods": pd.DataFrame(methods, dtype=object),
@@ -120,9 +119,8 @@ def _needed(one: Any) -> Markup | str:
         return Markup(f"**{one.n_samples}**")
     if one.status == "extrapolated":
         return f"about {one.n_samples}, extrapolated"
-    if one.status == "unreachable":
-        return "not reachable"
-    return f"more than {one.more_than}" + (", too few trainings" * (one.status == "more-seeds"))
+    few = ", too few trainings" if one.status == "more-seeds" else ""
+    return f"more than {one.shown.n_samples}{few}"
 
 
 def _scaled(value: float | None, by: float) -> float | None:
@@ -181,7 +179,7 @@ def _design(data: ReportData, design: str) -> dict[str, str]:
 
 def _ratio(ratio: Any) -> str:
     """A ratio in per cent with its interval."""
-    if ratio.value is None:
+    if not np.isfinite(ratio.value):
         return ""
     digits = 0 if ratio.value > 0.1 else 1
     shown = number(100 * ratio.value, digits)
@@ -192,6 +190,5 @@ def _ratio(ratio: Any) -> str:
 
 def _clear(ratio: Any) -> Markup | str:
     """A ratio in per cent, bold where its interval leaves out 100 %."""
-    known = ratio.low is not None and ratio.high is not None
     shown = _ratio(ratio).split(" (")[0]
-    return Markup(f"**{shown}**") if known and not ratio.low <= 1 <= ratio.high else shown
+    return Markup(f"**{shown}**") if ratio.known and not ratio.low <= 1 <= ratio.high else shown

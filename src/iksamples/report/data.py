@@ -10,8 +10,8 @@ import pandas as pd
 
 from iksamples.answer.answer import FILE as ANSWER
 from iksamples.answer.answer import Answer, read_answer
-from iksamples.answer.calibration import Calibration, read_calibrations
 from iksamples.answer.collect import WORKSPACE, read_runs
+from iksamples.answer.replication import Replication, read_replications
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
 from iksamples.results import Cell, cells
@@ -103,9 +103,9 @@ class ReportData:
         return read_answer(self.results) if (self.results / ANSWER).exists() else None
 
     @cached_property
-    def fresh(self) -> list[Calibration]:
+    def fresh(self) -> list[Replication]:
         """How the answers fared with fresh trainings; empty where none were asked for."""
-        return read_calibrations(self.results)
+        return read_replications(self.results)
 
     @cached_property
     def samples_needed(self) -> pd.DataFrame:

@@ -7,8 +7,8 @@ here (``iksamples handbook``).
 
 from iksamples.study.evaluation import (
     Bounds,
-    Calibration,
     Evaluation,
+    Replication,
     Tolerance,
 )
 from iksamples.study.paths import (
@@ -36,7 +36,6 @@ __all__ = [
     "AnyPath",
     "Asked",
     "Bounds",
-    "Calibration",
     "Circle",
     "Coordinate",
     "CsvPath",
@@ -52,6 +51,7 @@ __all__ = [
     "Method",
     "MethodKind",
     "Network",
+    "Replication",
     "Robot",
     "Samples",
     "Section",

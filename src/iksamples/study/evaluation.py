@@ -89,13 +89,13 @@ class Tolerance(Section):
     )
 
 
-class Calibration(Section):
+class Replication(Section):
     """Whether the answer holds for trainings that had no part in it."""
 
     seeds: int = Field(
         0,
         ge=0,
         le=100_000,
-        description="Trainings of each network with fresh seeds, at its answer and at one rung "
+        description="Trainings of each network with fresh seeds, at its answer and at one size "
         "below; 0: none.",
     )

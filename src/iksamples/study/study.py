@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field, field_serializer, model_validator
 
-from iksamples.study.evaluation import Bounds, Calibration, Evaluation, Tolerance
+from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
 from iksamples.study.robot import Asked, Robot, Workspace
 from iksamples.study.samples import TENSOR, Samples, grid_shape
 from iksamples.study.section import Name, Section, StudyName, without_password
@@ -52,7 +52,7 @@ class Study(Section):
     evaluation: Evaluation = Evaluation()
     bounds: Bounds = Bounds()
     tolerance: Tolerance = Tolerance()
-    calibration: Calibration = Calibration()
+    replication: Replication = Replication()
     tracking: Tracking = Tracking()
 
     @model_validator(mode="before")
@@ -183,7 +183,7 @@ class Study(Section):
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that name the settings that numbers depend on."""
-        apart = {"title", "tracking", "calibration"}
+        apart = {"title", "tracking", "replication"}
         text = json.dumps(self.model_dump(mode="json", exclude=apart), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.answer.answer import Cause, Rung
+from iksamples.answer.answer import Diagnosis, Size
 from iksamples.answer.collect import Variant
 from iksamples.answer.outcomes import errors_at_samples
-from iksamples.answer.statistics import FEWEST_SEEDS, Interval, compare, draws, interval
-from iksamples.answer.words import (
+from iksamples.results import Cell
+from iksamples.stats import FEWEST_SEEDS, Interval, compare, draws, interval
+from iksamples.study import Study
+from iksamples.text import (
     described,
     millimetres,
     percent,
@@ -17,8 +19,6 @@ from iksamples.answer.words import (
     same_training,
     several,
 )
-from iksamples.results import Cell
-from iksamples.study import Study
 
 
 if TYPE_CHECKING:
@@ -28,14 +28,14 @@ FALLING = 0.02
 """A training counts as unfinished where its loss still falls by a larger share per tenth of it."""
 
 
-def causes(
+def diagnose(
     study: Study,
     variant: Variant,
     outcomes: Mapping[Variant, "pd.DataFrame"],
     cell: Cell,
-    answers: Mapping[Variant, Rung],
+    answers: Mapping[Variant, Size],
     rng: np.random.Generator,
-) -> list[Cause]:
+) -> list[Diagnosis]:
     """What the data show about a network that fails at the most samples tried.
 
     * *fit*: at its own samples it already misses by more than the tolerance, so what it lacks is
@@ -51,9 +51,9 @@ def causes(
     Args:
         study: The study.
         variant: The network and design.
-        outcomes: Outcomes of all lines.
+        outcomes: Outcomes of all variants.
         cell: The network on the most samples tried.
-        answers: Lines that meet the tolerance, with the rung that is their answer.
+        answers: Variants that meet the tolerance, with the size that is their answer.
         rng: Draws the resamples.
     """
     found = [
@@ -88,7 +88,7 @@ def loss_fall(history: "pd.DataFrame", rng: np.random.Generator) -> Interval:
     return interval(float(np.median(values)), resampled)
 
 
-def _misses_its_samples(study: Study, cell: Cell) -> Cause | None:
+def _misses_its_samples(study: Study, cell: Cell) -> Diagnosis | None:
     errors = errors_at_samples(study, cell)
     if errors is None or not len(errors):
         return None
@@ -98,7 +98,7 @@ def _misses_its_samples(study: Study, cell: Cell) -> Cause | None:
         return None
     what = {"worst": "worst", "mean": "mean"}.get(tolerance.of)
     what = f"{what} error" if what else f"{tolerance.of} of the error"
-    return Cause(
+    return Diagnosis(
         kind="fit",
         text=f"At its own {several(cell.samples.n_samples, 'sample')} {failed} of {len(errors)} "
         f"trainings already miss by more than {plain_millimetres(tolerance.error_mm)} ({what}, "
@@ -107,11 +107,11 @@ def _misses_its_samples(study: Study, cell: Cell) -> Cause | None:
     )
 
 
-def _still_falling(cell: Cell, rng: np.random.Generator) -> Cause | None:
+def _still_falling(cell: Cell, rng: np.random.Generator) -> Diagnosis | None:
     fall = loss_fall(cell.table("history"), rng)
     if not fall.known or fall.low <= FALLING:
         return None
-    return Cause(
+    return Diagnosis(
         kind="training",
         text=f"With {several(cell.samples.n_samples, 'sample')} its training loss still falls by "
         f"{percent(fall.value)} (95 % interval {percent(fall.low)} to {percent(fall.high)}) in the "
@@ -125,7 +125,7 @@ def _better_networks(
     outcomes: Mapping[Variant, "pd.DataFrame"],
     n_samples: int,
     rng: np.random.Generator,
-) -> list[Cause]:
+) -> list[Diagnosis]:
     ours = study.all_methods[variant.method]
     found = []
     for other_variant, of_other in outcomes.items():
@@ -142,7 +142,7 @@ def _better_networks(
         row = pairs.iloc[0]
         change = "The same network trained otherwise" if same_network else "Another network"
         found.append(
-            Cause(
+            Diagnosis(
                 kind="training" if same_network else "capacity",
                 text=f"{change}, {described(study, other_variant.method)}, has "
                 f"{percent(row['ratio'])} of its error on the same "
@@ -154,22 +154,22 @@ def _better_networks(
 
 
 def _others_do_it(
-    study: Study, variant: Variant, answers: Mapping[Variant, Rung], n_samples: int
-) -> Cause | None:
+    study: Study, variant: Variant, answers: Mapping[Variant, Size], n_samples: int
+) -> Diagnosis | None:
     able = {
-        other.method: rung
-        for other, rung in answers.items()
+        other.method: size
+        for other, size in answers.items()
         if other.design == variant.design
-        and rung.n_samples <= n_samples
+        and size.n_samples <= n_samples
         and study.all_methods[other.method].kind != "analytic"
     }
     if not able:
         return None
     name = min(able, key=lambda key: able[key].n_samples)
-    rung = able[name]
-    proof = "certified" if rung.n_certified == rung.n_seeds else "measured, not certified"
-    return Cause(
+    size = able[name]
+    proof = "certified" if size.certified else "measured, not certified"
+    return Diagnosis(
         kind="samples-suffice",
         text=f"The samples are enough: {described(study, name)} meets the tolerance with "
-        f"{several(rung.n_samples, 'sample')} ({proof}).",
+        f"{several(size.n_samples, 'sample')} ({proof}).",
     )

@@ -1,9 +1,13 @@
 """The statistics of seeds: shares with their confidence, resampling, and paired comparisons."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, PlainSerializer, WithJsonSchema
 
 from iksamples.errors import IksamplesError
 
@@ -21,12 +25,26 @@ LEVEL = 0.95
 _MOST_SEEDS = 10**7
 
 
-class Interval(NamedTuple):
+Number = Annotated[
+    float,
+    BeforeValidator(lambda value: np.nan if value is None else value),
+    PlainSerializer(lambda value: float(value) if np.isfinite(value) else None),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]}),
+]
+"""A number of a JSON file, where null stands for what is not finite or not known."""
+
+
+@dataclass(frozen=True)
+class Interval:
     """An estimate with its 95 % interval; the ends are NaN where there are too few seeds."""
 
-    value: float
-    low: float
-    high: float
+    value: Number
+    low: Number
+    high: Number
+
+    def __iter__(self) -> Iterator[float]:
+        """The value and the ends, so that they can be unpacked."""
+        return iter((self.value, self.low, self.high))
 
     @property
     def known(self) -> bool:
@@ -102,6 +120,7 @@ def single_share(share: float, best_of: int) -> float:
     return float(-np.expm1(np.log1p(-share) / best_of))
 
 
+@lru_cache(maxsize=4096)
 def met_needed(n: int, share: float, confidence: float) -> int | None:
     """Fewest of n trainings that must meet it for the lower end to reach a share; None: no way."""
     if share_lower(n, n, confidence) < share:
@@ -178,7 +197,8 @@ def compare(
         if len(ratio) >= FEWEST_SEEDS:
             resampled = np.median(ratio[draws(len(ratio), rng)], axis=1)
         middle = interval(float(np.median(ratio)), resampled)
-        records.append((int(n), len(ratio), *middle, float(np.mean(first < second))))
+        better = float(np.mean(first < second))
+        records.append((int(n), len(ratio), *middle, better))
     columns = ["n_samples", "n_pairs", "ratio", "ratio_low", "ratio_high", "better"]
     return pd.DataFrame(records, columns=columns)
 
