@@ -51,6 +51,26 @@ def test_closed_form_solves_any_yaw_and_two_pitches_on_any_base(draw):
     np.testing.assert_allclose(found, joints, atol=1e-9)
 
 
+@pytest.mark.parametrize("axis", [[0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]])
+@pytest.mark.parametrize("turned", [0.0, 1.57, -0.3])
+def test_an_upright_arm_that_could_do_either_looks_ahead_with_its_elbow_up(axis, turned, rng):
+    upright = SerialChain(
+        ("a", "b", "c"), ("revolute",) * 3, np.array([[0, 0, 1.0], axis, axis]),
+        np.array([[0.0, 0, 0], [0, 0, 50], [0, 0, 100]]), np.array([0.0, 0, 150]),
+        np.full(3, -3.0), np.full(3, 3.0),
+    )  # fmt: skip
+    chain = moved(upright, Rotation.from_euler("z", turned).as_matrix(), np.zeros(3))
+    x = rng.uniform([30, 10, 20], [60, 40, 60], (50, 3))
+    joints = yaw_pitch_pitch(chain, x)
+    np.testing.assert_allclose(chain.forward_mm(joints), x, atol=1e-9)
+    assert np.abs(joints[:, 0]).max() < np.pi  # no more than facing takes
+    elbow = chain.skeleton_mm(joints)[:, 2]
+    on_the_line = 50 + (x[:, 2] - 50) * np.linalg.norm(elbow[:, :2], axis=1) / np.linalg.norm(
+        x[:, :2], axis=1
+    )
+    assert (elbow[:, 2] > on_the_line).all()
+
+
 def test_closed_form_answers_nothing_beside_the_yaw_axis_of_an_arm_with_an_offset(rng):
     chain = SerialChain(
         ("a", "b", "c"), ("revolute",) * 3, np.array([[0, 0, 1.0], [0, 1, 0], [0, 1, 0]]),

@@ -47,7 +47,8 @@ def yaw_pitch_pitch(
     and Vidyasagar, *Robot Modeling and Control*, sec. 5.3). Any pose of the base, sense of an axis,
     offset between the axes and length of link will do. A point is reached in up to four ways: the
     elbow bends to either side, and the arm faces the point or reaches over its back. The arm faces
-    as it does at home, or where that does not tell it looks along the base's x axis.
+    and bends as at home; where that does not tell, it looks along the base's x axis with its elbow
+    up.
 
     Args:
         chain: The arm.
@@ -74,8 +75,9 @@ def yaw_pitch_pitch(
     middle = np.where(np.isfinite(chain.lower + chain.upper), (chain.lower + chain.upper) / 2, 0.0)
     posture = middle if home is None else np.asarray(home, float)
     ahead, bend_at_home = _posture(plane, posture)
-    if elbow is None:
-        elbow = "negative" if bend_at_home < 0 else "positive"
+    if abs(bend_at_home) < 1e-6:  # stretched: elbow up
+        bend_at_home = -ahead * plane.elbow_sense
+    bends = {"negative": -1.0, "positive": 1.0, None: np.sign(bend_at_home)}[elbow]
 
     relative = np.asarray(positions_mm, float) - chain.points_mm[0]
     x, y, z = plane.basis @ relative.T
@@ -86,7 +88,7 @@ def yaw_pitch_pitch(
     cosine = (radius**2 + height**2 - upper_mm**2 - fore_mm**2) / (2 * upper_mm * fore_mm)
     # A point on the boundary may miss it by a rounding error.
     cosine = np.where(np.abs(cosine) <= 1 + 1e-12, np.clip(cosine, -1, 1), np.nan)
-    bend = (-1.0 if elbow == "negative" else 1.0) * np.arccos(cosine)
+    bend = bends * np.arccos(cosine)
 
     turn = plane.elbow_sense * bend
     right, up = plane.upper / upper_mm
