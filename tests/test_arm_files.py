@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from iksamples.arm.chain import angles_of, roll_pitch_yaw
+from iksamples.arm.drawing import drawn_urdf, shows_bodies
 from iksamples.arm.load import load_arm
 from iksamples.errors import IksamplesError
 
@@ -194,6 +196,38 @@ def test_any_text_is_read_or_refused(tmp_path_factory, text):
     except IksamplesError:
         return
     assert np.isfinite(arm.forward_mm(np.zeros(arm.n_joints))).all()
+
+
+def test_a_drawn_arm_is_the_arm(tmp_path):
+    """The arm without bodies of its own as a URDF that has some, down to its gimbal lock."""
+    for path in (*sorted(Path("config/robots").glob("*.urdf")), tmp_path / "scara.yaml"):
+        if path.suffix == ".yaml":
+            path.write_text(STANDARD)
+        arm = load_arm(path, tool_offset_mm=[1, 2, 30])
+        text = drawn_urdf(arm)
+        same_arm(load(tmp_path, text, "drawn.urdf"), arm)
+        assert shows_bodies(tmp_path / "drawn.urdf")
+        assert text.count("<cylinder") >= arm.n_joints
+
+
+def test_whether_a_file_shows_bodies(tmp_path, monkeypatch):
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    (tmp_path / "there.stl").touch()
+    mesh = '<link name="fore"><visual><geometry><mesh filename="%s"/></geometry></visual></link>'
+    for name, shown in (("there.stl", True), ("gone.stl", False), ("package://a/b.stl", False)):
+        text = ORDINARY.replace('<link name="fore"/>', mesh % name)
+        (tmp_path / "arm.urdf").write_text(text)
+        assert shows_bodies(tmp_path / "arm.urdf") == shown
+    (tmp_path / "arm.urdf").write_text(ORDINARY)
+    assert not shows_bodies(tmp_path / "arm.urdf")
+    assert shows_bodies(Path("config/robots/rrr70.urdf"))
+
+
+@given(st.tuples(*[st.floats(-3.2, 3.2)] * 3))
+def test_angles_of_undoes_roll_pitch_yaw(angles):
+    rotation = roll_pitch_yaw(angles)
+    np.testing.assert_allclose(roll_pitch_yaw(angles_of(rotation)), rotation, atol=1e-8)
 
 
 # A SCARA by both conventions: two parallel axes, a quill that slides down, and its turn.

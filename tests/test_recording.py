@@ -172,6 +172,37 @@ def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
         np.testing.assert_allclose(point, tool[time][0], atol=1e-6)
 
 
+def test_an_arm_from_a_table_is_drawn_with_simple_bodies(
+    small: Study, results: list[Cell], chain: SerialChain, heart: Path, tmp_path: Path
+) -> None:
+    """The paper's arm by its Denavit-Hartenberg parameters moves as its URDF does."""
+    table = tmp_path / "arm.yaml"
+    table.write_text(
+        "convention: standard\njoints:\n"
+        "- {name: yaw, d_mm: 70, alpha_deg: 90, lower_deg: 0, upper_deg: 180}\n"
+        "- {name: shoulder, a_mm: 70, theta_deg: 90, lower_deg: -180, upper_deg: 0}\n"
+        "- {name: elbow, a_mm: 70, lower_deg: -180, upper_deg: 0}\n"
+    )
+    other = small.model_copy(update={"robot": small.robot.model_copy(update={"urdf": str(table)})})
+    file = tmp_path / "drawn.rrd"
+    record_path(other, "heart", results, file)
+    for name in chain.joint_names:
+        for part in ("translation", "quaternion"):
+            ours, urdfs = (
+                read(one, f"/robot/joints/{name}", f"Transform3D:{part}", "waypoint")
+                for one in (file, heart)
+            )
+            np.testing.assert_allclose(
+                np.squeeze(list(ours.values())), np.squeeze(list(urdfs.values())), atol=1e-6
+            )
+    drawn = {
+        chunk.entity_path
+        for chunk in RrdReader(file).stream().to_chunks()
+        if any("Mesh3D" in n or "Cylinders3D" in n for n in chunk.to_record_batch().schema.names)
+    }
+    assert len(drawn) >= 3
+
+
 def test_training_is_replayed_up_to_the_final_path(
     small: Study, results: list[Cell], heart: Path
 ) -> None:

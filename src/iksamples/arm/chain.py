@@ -259,3 +259,21 @@ def roll_pitch_yaw(angles: ArrayLike) -> Floats:
         [-sp, cp * sr, cp * cr],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def angles_of(rotation: Floats) -> Floats:
+    """Roll, pitch and yaw [rad] of a rotation, shape (3,): `roll_pitch_yaw` undone.
+
+    Args:
+        rotation: Rotation matrix, shape (3, 3).
+
+    Returns:
+        Pitch within a quarter turn; where it is one, only the difference of roll and yaw means
+        anything, and yaw is zero.
+    """
+    level = float(np.hypot(rotation[0, 0], rotation[1, 0]))
+    pitch = np.arctan2(-rotation[2, 0], level)
+    if level < 1e-9:
+        return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    return np.array([roll, pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])

@@ -10,6 +10,8 @@ from iksamples.errors import IksamplesError
 
 
 MOST_BYTES = 10_000_000
+TABLES = (".csv", ".yaml", ".yml")
+"""How the name of a Denavit-Hartenberg table ends."""
 
 
 def load_arm(
@@ -38,7 +40,7 @@ def load_arm(
     try:
         if content.lstrip().startswith(b"version https://git-lfs"):
             raise IksamplesError("a pointer of Git LFS, not the file itself; run 'git lfs pull'.")
-        if path.suffix.lower() in (".csv", ".yaml", ".yml"):
+        if path.suffix.lower() in TABLES:
             from iksamples.arm.dh import dh_joints
 
             if base_link or tip_link:

@@ -15,7 +15,7 @@ by the arm's length.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.chain import Floats, SerialChain, angles_of
 from iksamples.arm.target import COORDINATES, Target
 
 
@@ -151,11 +151,8 @@ class Follower:
     def _generic_rank(self) -> int:
         """Rank of the Jacobian at labels around home; a singularity there is no reason for less."""
         position, rotation = self._chain.pose(self._home)
-        m = rotation @ self._target.reference_rotation.T
-        roll, yaw = np.arctan2(m[2, 1], m[2, 2]), np.arctan2(m[1, 0], m[0, 0])
-        at_home = dict(
-            zip(COORDINATES, [*position, roll, -np.arcsin(m[2, 0].clip(-1, 1)), yaw], strict=True)
-        )
+        turned = angles_of(rotation @ self._target.reference_rotation.T)
+        at_home = dict(zip(COORDINATES, [*position, *turned], strict=True))
         scale = np.where(np.array(self._target.units) == "mm", self.length_mm, 1.0)
         around = np.random.default_rng(0).uniform(-0.02, 0.02, (8, len(scale))) * scale
         joints = self.follow(np.array([at_home[name] for name in self._target.names]) + around)

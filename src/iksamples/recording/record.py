@@ -5,6 +5,7 @@ Lengths are in metres, as in the URDF; only the error curves are in millimetres.
 networks came to draw the path.
 """
 
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
 from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
+from iksamples.arm.drawing import drawn_urdf, shows_bodies
 from iksamples.errors import IksamplesError
 from iksamples.recording.colours import BLACK, GREY, RED, Colour, blues
 from iksamples.recording.layout import APPLICATION, EPOCH, WAYPOINT, about, layout
@@ -100,11 +102,17 @@ def _log_arm(
     waypoints: NDArray[np.int64],
 ) -> None:
     """The links as bodies, and the joints over both timelines."""
-    tree = UrdfTree.from_file_path(study.robot.urdf, entity_path_prefix="robot")
-    tree.log_urdf_to_recording(recording)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(study.robot.urdf)
+        drawn = not shows_bodies(path)
+        if drawn:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(drawn_urdf(chain), encoding="utf-8")
+        tree = UrdfTree.from_file_path(path, entity_path_prefix="robot")
+        tree.log_urdf_to_recording(recording)
     # A URDF's links are frames with names, which nothing ties to the scene until told so. The scene
     # hangs from the base link, not the other way round: that link may hang from another already.
-    base = study.robot.base_link or tree.root_link().name
+    base = (not drawn and study.robot.base_link) or tree.root_link().name
     recording.log("base", rr.Transform3D(parent_frame=base, child_frame="tf#/"), static=True)
     joints = {joint.name: joint for joint in tree.joints()}
     for i, name in enumerate(chain.joint_names):
