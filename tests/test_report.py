@@ -127,7 +127,7 @@ def test_proofs_are_those_of_the_certificates(project: Path, page: html.HtmlElem
         ):
             assert value <= float(row[head]) < value + 0.01
         assert 0 <= rows["sup_lower_mm"].median() - float(row["Worst error ≥ [mm]"]) < 0.01
-        assert row["Checked"] == str(rows["verified"].sum())
+        assert row["Networks"] == str(rows["verified"].sum())
     unsafe = pd.read_parquet(project / "results/small/network/grid5/unsafe.parquet")
     seed = int(page.xpath("string(//p[contains(., '(seed ')])").split("(seed ")[1].split(")")[0])
     head = unsafe[unsafe["seed"] == seed].iloc[0]

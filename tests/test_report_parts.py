@@ -14,7 +14,7 @@ from iksamples.report import markdown, style
 from iksamples.report.data import read_benchmarks
 from iksamples.report.figures import lines
 from iksamples.report.run import differing
-from iksamples.report.views import Strokes
+from iksamples.report.views import Strokes, error_map, plans
 from iksamples.study import Method, parse_study
 
 
@@ -104,8 +104,8 @@ def test_a_table_keeps_its_columns() -> None:
 
 
 def test_paragraphs_are_a_line_each() -> None:
-    text = "# a\n\n\n\nb\nc\n| x |\n| - |\n\n```\nd\n e\n```\n*f\ng*\n"
-    assert markdown.tidy(text) == "# a\n\nb c\n| x |\n| - |\n\n```\nd\n e\n```\n*f g*\n"
+    text = "# a\n\n\n\nb\nc\n| x |\n| - |\n\n```\nd\n e\n```\n*f\n`g`*\n"
+    assert markdown.tidy(text) == "# a\n\nb c\n| x |\n| - |\n\n```\nd\n e\n```\n*f `g`*\n"
 
 
 def test_lines_are_medians_with_the_middle_half(rng: np.random.Generator) -> None:
@@ -165,6 +165,32 @@ def test_strokes_are_lifted_where_the_table_says() -> None:
     assert strokes.breaks == [2]
     np.testing.assert_array_equal(strokes.error, [0, 0, 0.5, 0])
     assert np.isnan(strokes.lifted(strokes.target)[2]).all()
+
+
+def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
+    side = np.linspace(0, 1, 9)
+    a, b = (one.ravel() for one in np.meshgrid(side, side))
+    slices = pd.DataFrame({"slice": "", "a_mm": a, "b_mm": b, "error_mm": a + 2 * b})
+    slices.loc[0, "error_mm"] = np.nan  # outside the region
+    [axis, bar] = error_map(slices, 1.5).axes
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("a [mm]", "b [mm]")
+    [worst] = axis.get_lines()
+    assert (worst.get_xdata()[0], worst.get_ydata()[0]) == (1, 1)
+    assert bar.get_ylim()[1] >= 3
+    waypoints = pd.DataFrame(
+        {
+            "waypoint": range(9),
+            "target_a_mm": side,
+            "target_b_mm": side,
+            "reached_a_mm": side + 0.1,
+            "reached_b_mm": side,
+            "q_j_mm": side,
+            "error_mm": 0.1,
+        }
+    )
+    figure = plans([(4, Strokes(waypoints), np.array([[0.0, 0], [0, 1], [1, 0], [1, 1]]))])
+    [axis] = figure.axes
+    np.testing.assert_array_equal(axis.get_lines()[1].get_xdata(), side + 0.1)
 
 
 def test_what_differs_is_named_as_the_study_file_has_it() -> None:

@@ -12,6 +12,7 @@ from iksamples.answer.answer import FILE as ANSWER
 from iksamples.answer.answer import Answer, read_answer
 from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.answer.replication import Replication, read_replications
+from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
 from iksamples.results import Cell, cells
@@ -77,6 +78,10 @@ class ReportData:
         rows = self.runs[self.runs["region"] == self.first_path]
         rows = rows[(rows["method"] == NETWORK)].rename(columns={"error_mean_mm": "error_mm"})
         return {label: median_seed(rows[rows["label"] == label]) for label in self.cells}
+
+    def samples_mm(self, label: str) -> Floats:
+        """Where the samples of a set are [mm], shape (n, coordinates of the position)."""
+        return self.cells[label].samples.positions_mm
 
     def table(self, name: str) -> pd.DataFrame:
         """One of the tables of ``cells``, one below the other, with n_samples; diverged left out.

@@ -14,6 +14,8 @@ from markupsafe import Markup
 
 _ROUNDING = 1e-6
 """What is smaller is rounding and no error [mm]."""
+_BLOCKS = ("|", "#", "<", "```", "!", ">")
+"""What a line of its own starts with."""
 _OUTWARD = {"up": ROUND_CEILING, "down": ROUND_FLOOR}
 _SPECIAL = re.compile(r"([\\`*_\[\]|~$#])")
 
@@ -132,8 +134,8 @@ def tidy(markdown: str) -> str:
     verbatim = False
     for line in markdown.splitlines():
         verbatim ^= line.startswith("```")
-        plain = not verbatim and re.match(r"[^|#<`!>]", line) is not None
-        if plain and lines and re.match(r"[^|#<`>\s]", lines[-1]):
+        plain = bool(line) and not verbatim and not line.startswith(_BLOCKS)
+        if plain and lines and lines[-1] and not lines[-1].startswith(_BLOCKS):
             lines[-1] += f" {line.strip()}"
         elif line or (lines and lines[-1]):
             lines.append(line.rstrip())

@@ -56,7 +56,7 @@ def paths(data: ReportData) -> dict[str, Any]:
     def panel(label: str, path: str) -> tuple[int, views.Strokes, Any]:
         rows = waypoints[(waypoints["label"] == label) & (waypoints["path"] == path)]
         strokes = views.Strokes(rows[rows["seed"] == data.shown[label]])
-        samples = data.cells[label].samples.positions_mm
+        samples = data.samples_mm(label)
         return len(samples), strokes, samples
 
     uri = str(data.tracking.get("tracking_uri", ""))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.report.data import ReportData
-from iksamples.report.views import Strokes
+from iksamples.report.views import Strokes, in_space
 
 
 _MOST_POINTS = 1000
@@ -33,11 +33,11 @@ def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict
     first = waypoints[waypoints["label"] == next(iter(data.cells))]
     drawn = [Strokes(_one(first, path, first["seed"].iloc[0])) for path in paths]
     return {
-        "box": [list(box.lower_mm), list(box.upper_mm)],
+        "box": in_space(np.array([box.lower_mm, box.upper_mm])).tolist(),
         "paths": [
             {
                 "name": name,
-                "target": _flat(path.target[_keep(path, most)]),
+                "target": _flat(in_space(path.target[_keep(path, most)])),
                 "breaks": np.searchsorted(_keep(path, most), path.breaks).tolist(),
             }
             for name, path in zip(paths, drawn, strict=True)
@@ -49,7 +49,7 @@ def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict
 def _set(
     data: ReportData, chain: SerialChain, waypoints: pd.DataFrame, label: str, most: int
 ) -> dict[str, object]:
-    points = data.cells[label].samples.positions_mm
+    points = in_space(data.samples_mm(label))
     rows = waypoints[waypoints["label"] == label]
     return {
         "n": len(points),
@@ -73,7 +73,7 @@ def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[
                 "seed": int(seed),
                 "mean": round(float(track.error.mean()), 3),
                 "max": round(float(track.error.max()), 3),
-                "reached": _flat(track.reached[keep]),
+                "reached": _flat(in_space(track.reached[keep])),
                 "error": _flat(track.error[keep]),
                 # A joint that never moves is sent once.
                 "knots": [

@@ -48,6 +48,11 @@ class Strokes:
         return np.insert(points, self.breaks, np.nan, axis=0)
 
 
+def in_space(points: Floats) -> Floats:
+    """Positions with three coordinates: of a planar task's, the third is zero."""
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
 @style.styled
 def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
     """A path as networks draw it, seen along each axis of the workspace in turn.
@@ -161,7 +166,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
         grid = rows.pivot(index=up, columns=across, values="error_mm")
         where = grid.columns.to_numpy(float), grid.index.to_numpy(float), grid.to_numpy(float)
         filled = axis.contourf(*where, levels=levels, cmap="Blues")
-        if where[2].min() < tolerance < where[2].max():
+        if np.nanmin(where[2]) < tolerance < np.nanmax(where[2]):
             axis.contour(*where, levels=[tolerance], colors=style.TARGET, linewidths=1.2)
         _worst(axis, rows.loc[rows["error_mm"].idxmax()], across, up, rows)
         axis.set_title(title)
@@ -197,7 +202,8 @@ def _path(axis: Axes, path: Strokes, target: Floats, reached: Floats) -> None:
 
 
 def _project(points_mm: Floats) -> Floats:
-    """Orthographic view from a little above, shape (n, 3) to (n, 2)."""
+    """Orthographic view from a little above, shape (n, 2 or 3) to (n, 2)."""
+    points_mm = in_space(points_mm)
     c, s = np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)
     across, depth = -s * points_mm[:, 0] + c * points_mm[:, 1], points_mm[:, :2] @ [c, s]
     up = np.cos(_ELEVATION_RAD) * points_mm[:, 2] - np.sin(_ELEVATION_RAD) * depth
