@@ -33,7 +33,7 @@ def answer(data: ReportData) -> dict[str, Any]:
             # A row per design would say the same of a method again and again.
             | ({} if data.several_designs else {"What it is": one.description})
             | {
-                "Samples needed": _needed(one),
+                "Samples needed": _needed(data, one),
                 "Error [mm]": tried.tolerance_bound_mm,
                 "Shown by": "proof" if tried.certified else "measurement",
                 "Trainings that meet it": "deterministic"
@@ -112,8 +112,8 @@ def comparisons(data: ReportData) -> dict[str, Any]:
     }
 
 
-def _needed(one: Any) -> Markup | str:
-    if one.kind == "analytic":
+def _needed(data: ReportData, one: Any) -> Markup | str:
+    if not data.learns[one.method]:
         return "none"
     if one.status == "answered":
         return Markup(f"**{one.n_samples}**")
@@ -129,8 +129,7 @@ def _scaled(value: float | None, by: float) -> float | None:
 
 def _needed_drawing(data: ReportData) -> figures.Drawing | None:
     table = data.samples_needed
-    kinds = {name: method.kind for name, method in data.study.all_methods.items()}
-    table = table[table["method"].map(kinds) != "analytic"] if len(table) else table
+    table = table[table["method"].map(data.learns)] if len(table) else table
     if table.empty:
         return None
     how = np.where(table["certified"].astype(bool), "proved", "measured")
@@ -183,7 +182,7 @@ def _ratio(ratio: Any) -> str:
         return ""
     digits = 0 if ratio.value > 0.1 else 1
     shown = number(100 * ratio.value, digits)
-    if ratio.low is None or ratio.high is None:
+    if not ratio.known:
         return shown
     return f"{shown} ({number(100 * ratio.low, digits)} to {number(100 * ratio.high, digits)})"
 

@@ -15,6 +15,7 @@ from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
+from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
 
@@ -56,8 +57,13 @@ class ReportData:
     @cached_property
     def compared(self) -> pd.DataFrame:
         """The rows of ``workspace`` that learn from samples: all but the exact inverse's."""
-        kinds = {name: method.kind for name, method in self.study.all_methods.items()}
-        return self.workspace[self.workspace["method"].map(kinds) != "analytic"]
+        return self.workspace[self.workspace["method"].map(self.learns)]
+
+    @cached_property
+    def learns(self) -> dict[str, bool]:
+        """Whether each method learns from samples."""
+        methods = self.study.all_methods
+        return {name: KINDS[method.kind].needs_samples for name, method in methods.items()}
 
     @cached_property
     def own(self) -> pd.DataFrame:
@@ -81,7 +87,8 @@ class ReportData:
 
     def samples_mm(self, label: str) -> Floats:
         """Where the samples of a set are [mm], shape (n, coordinates of the position)."""
-        return self.cells[label].samples.positions_mm
+        samples = self.cells[label].samples
+        return samples.x[:, [unit == "mm" for unit in samples.space.units]]
 
     def table(self, name: str) -> pd.DataFrame:
         """One of the tables of ``cells``, one below the other, with n_samples; diverged left out.

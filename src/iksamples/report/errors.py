@@ -240,7 +240,7 @@ def _at_corner(data: ReportData, proofs: pd.DataFrame) -> "pd.Series[bool]":
     """Whether a network's worst point is a corner of the workspace."""
     place = proofs.filter(regex="^argmax_").to_numpy(float)
     box = data.study.workspace
-    gap = np.minimum(np.abs(place - box.lower_mm), np.abs(place - box.upper_mm))
+    gap = np.minimum(np.abs(place - box.lower), np.abs(place - box.upper))
     return pd.Series((gap <= 1e-6).all(axis=1), index=proofs.index)
 
 

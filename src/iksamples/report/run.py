@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from iksamples.report import provenance, views
 from iksamples.report.data import ReportData
-from iksamples.report.markdown import code
+from iksamples.report.markdown import code, percent
 from iksamples.report.scene import scene
 from iksamples.study import Study
 from iksamples.task import study_chain
@@ -23,20 +23,22 @@ _PATH_SETS = 4
 
 def facts(data: ReportData) -> list[str]:
     """The study in a line: arm, workspace, network, training, samples."""
-    study, box = data.study, data.study.workspace
-    names = [name.removeprefix("target_").rsplit("_", 1)[0] for name in _targets(data)]
+    study, n = data.study, data.own["n_samples"]
+    samples = next(iter(data.cells.values())).samples
+    space, joints, training = samples.space, samples.joint_space, study.training
     ranges = ", ".join(
-        f"{name} {low:g} to {high:g}"
-        for name, low, high in zip(names, box.lower_mm, box.upper_mm, strict=False)
+        f"{name} {low:g} to {high:g} {unit}"
+        for name, unit, low, high in zip(
+            space.names, space.units, space.lower, space.upper, strict=True
+        )
     )
-    training, own = study.training, data.own
-    joints = len(data.table("waypoints").filter(regex="^q_").columns)
+    share = samples.region.volume / float(np.prod(space.upper - space.lower))
     budget = f"{training.steps} steps" if training.steps else f"{training.epochs} epochs"
-    n = own["n_samples"]
     return [
-        f"arm {Path(study.robot.urdf).stem}, {joints} joints",
-        f"workspace {ranges} mm",
-        f"network {'-'.join(map(str, [len(names), *study.network.hidden, joints]))}, "
+        f"arm {Path(study.robot.urdf).stem}: {', '.join(joints.names)}",
+        f"workspace {ranges}"
+        + (f", of which the arm can use {percent(share, 1, 'down')}" if share < 1 - 1e-9 else ""),
+        f"network {'-'.join(map(str, [len(space), *study.network.hidden, len(joints)]))}, "
         f"{study.network.activation}",
         f"{training.optimizer}, {budget}",
         f"{n.min()} to {n.max()} samples ({', '.join(study.samples.designs)})",
@@ -137,7 +139,3 @@ def _yaml(value: Any) -> str:
     import yaml
 
     return yaml.safe_dump(value, default_flow_style=True, width=10**6).split("\n...")[0].strip()
-
-
-def _targets(data: ReportData) -> list[str]:
-    return [str(name) for name in data.table("waypoints").filter(regex="^target_")]

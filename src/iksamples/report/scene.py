@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.report.data import ReportData
-from iksamples.report.views import Strokes, in_space
+from iksamples.report.views import Strokes
 
 
 _MOST_POINTS = 1000
@@ -33,23 +33,28 @@ def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict
     first = waypoints[waypoints["label"] == next(iter(data.cells))]
     drawn = [Strokes(_one(first, path, first["seed"].iloc[0])) for path in paths]
     return {
-        "box": in_space(np.array([box.lower_mm, box.upper_mm])).tolist(),
+        "box": drawn[0].in_space(np.array([box.lower_mm, box.upper_mm])).tolist(),
         "paths": [
             {
                 "name": name,
-                "target": _flat(in_space(path.target[_keep(path, most)])),
+                "target": _flat(path.in_space(path.target[_keep(path, most)])),
                 "breaks": np.searchsorted(_keep(path, most), path.breaks).tolist(),
             }
             for name, path in zip(paths, drawn, strict=True)
         ],
-        "grids": [_set(data, chain, waypoints, label, most) for label in data.cells],
+        "grids": [_set(data, chain, waypoints, label, drawn[0], most) for label in data.cells],
     }
 
 
 def _set(
-    data: ReportData, chain: SerialChain, waypoints: pd.DataFrame, label: str, most: int
+    data: ReportData,
+    chain: SerialChain,
+    waypoints: pd.DataFrame,
+    label: str,
+    first: Strokes,
+    most: int,
 ) -> dict[str, object]:
-    points = in_space(data.samples_mm(label))
+    points = first.in_space(data.samples_mm(label))
     rows = waypoints[waypoints["label"] == label]
     return {
         "n": len(points),
@@ -73,7 +78,7 @@ def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[
                 "seed": int(seed),
                 "mean": round(float(track.error.mean()), 3),
                 "max": round(float(track.error.max()), 3),
-                "reached": _flat(in_space(track.reached[keep])),
+                "reached": _flat(track.in_space(track.reached[keep])),
                 "error": _flat(track.error[keep]),
                 # A joint that never moves is sent once.
                 "knots": [

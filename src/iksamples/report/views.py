@@ -23,9 +23,10 @@ class Strokes:
     """One network on one path.
 
     Attributes:
-        names: The coordinates of the tool's position, such as ``x_mm``.
+        names: The coordinates of the position that are asked for, such as ``x_mm``.
         target: Where the tool was sent [mm], shape (waypoints, coordinates).
         reached: Where it went [mm], same shape.
+        middle: The middle of where it went [mm], shape (3,).
         joints: What the network answered [rad or mm], shape (waypoints, joints).
         error: Distance between the two [mm], shape (waypoints,).
         breaks: Waypoints before which the pen is lifted.
@@ -38,19 +39,24 @@ class Strokes:
         self.names = [name.removeprefix("target_") for name in targets]
         self.target: Floats = rows[targets].to_numpy(float)
         self.reached: Floats = rows[[f"reached_{name}" for name in self.names]].to_numpy(float)
+        self.middle: Floats = rows.filter(regex="^reached_").mean().to_numpy(float)
+        self._asked = [
+            list(rows.filter(regex="^reached_")).index(f"reached_{n}") for n in self.names
+        ]
         self.joints: Floats = rows.filter(regex="^q_").to_numpy(float)
         self.error: Floats = rows["error_mm"].to_numpy(float)
-        pen_up = rows["pen_up"].to_numpy(bool) if "pen_up" in rows else np.zeros(len(rows), bool)
+        pen_up = rows["pen_up"].to_numpy(bool)
         self.breaks = [int(i) for i in np.flatnonzero(pen_up) if i]
+
+    def in_space(self, points: Floats) -> Floats:
+        """Positions as x, y, z: a coordinate that is not asked for is where the tool went."""
+        full = np.tile(self.middle, (len(points), 1))
+        full[:, self._asked] = points
+        return full
 
     def lifted(self, points: Floats) -> Floats:
         """A polyline with gaps (NaN) where the pen is lifted."""
         return np.insert(points, self.breaks, np.nan, axis=0)
-
-
-def in_space(points: Floats) -> Floats:
-    """Positions with three coordinates: of a planar task's, the third is zero."""
-    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
 @style.styled
@@ -105,16 +111,17 @@ def arm(
 
     Args:
         chain: The arm.
-        box: Corners of the workspace [mm], shape (3,) each.
+        box: Corners of the workspace [mm], a number per coordinate that is asked for.
         panels: For each: the number of samples, the path, and where the samples are [mm].
     """
     figure, axes = style.panels(
         1, len(panels), 3.9, left=0.01, right=0.99, bottom=0.09, top=0.93, wspace=0.02
     )
+    corners = np.array(list(product(*np.transpose(box))))
     edges = [
-        np.array([a, b])
-        for a, b in combinations(np.array(list(product(*np.transpose(box)))), 2)
-        if np.sum(a != b) == 1
+        panels[0][1].in_space(np.array(edge))
+        for edge in combinations(corners, 2)
+        if np.sum(edge[0] != edge[1]) == 1
     ]
     seen = []
     for axis, (n, path, samples) in zip(axes[0], panels, strict=True):
@@ -125,17 +132,18 @@ def arm(
         axis.plot(*_project(links).T, color=style.MUTED, lw=5, solid_joinstyle="round", zorder=5)
         knots = _project(links[:-1])
         axis.plot(*knots.T, "o", color=style.PANEL, ms=5, mec=style.INK, mew=1, zorder=6)
-        _path(axis, path, _project(path.target), _project(path.reached))
-        miss = _project(np.stack([path.target[worst], path.reached[worst]]))
+        target, reached = path.in_space(path.target), path.in_space(path.reached)
+        _path(axis, path, _project(target), _project(reached))
+        miss = _project(np.stack([target[worst], reached[worst]]))
         axis.plot(*miss.T, color=style.INK, lw=1.2, label="largest error", zorder=9)
         if len(samples) <= _MOST_POINTS:
-            points = _project(samples)
+            points = _project(path.in_space(samples))
             axis.plot(*points.T, ".", ms=3, color=style.SAMPLE, label="samples", zorder=4)
         axis.set_title(
             f"{n} samples: mean error {path.error.mean():.1f} mm, here {path.error.max():.1f} mm",
             loc="center",
         )
-        seen += [_project(points) for points in (links, path.reached, *edges)]
+        seen += [_project(points) for points in (links, reached, *edges)]
     everything = np.concatenate(seen)
     low, high = everything.min(axis=0) - 6, everything.max(axis=0) + 6
     for axis in axes[0]:
@@ -203,7 +211,6 @@ def _path(axis: Axes, path: Strokes, target: Floats, reached: Floats) -> None:
 
 def _project(points_mm: Floats) -> Floats:
     """Orthographic view from a little above, shape (n, 2 or 3) to (n, 2)."""
-    points_mm = in_space(points_mm)
     c, s = np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)
     across, depth = -s * points_mm[:, 0] + c * points_mm[:, 1], points_mm[:, :2] @ [c, s]
     up = np.cos(_ELEVATION_RAD) * points_mm[:, 2] - np.sin(_ELEVATION_RAD) * depth
