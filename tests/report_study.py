@@ -32,11 +32,10 @@ def finished(settings: dict[str, Any], project: Path, paper: bool = True) -> Stu
     study = read_study(file)
     file.write_text(study.model_dump_json())
     sets = [results / "samples" / f"{label}.parquet" for label in sample_sets(study)]
-    for one in sets:
-        step("samples", file, "--name", one.stem, "-o", one)
+    step("samples", file, "-o", results / "samples")
     step("train", file, *sets, "-o", results)
-    for method in study.all_methods:
-        step("evaluate", file, *sets, "--method", method, "--folder", results / method)
+    methods = [word for name in study.all_methods for word in ("--method", name)]
+    step("evaluate", file, *sets, *methods, "--results", results)
     for method in certified(study):
         target = results / method / "certificates.csv"
         step("prove", file, *sets, "--method", method, "--folder", results / method, "-o", target)
