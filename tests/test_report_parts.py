@@ -186,6 +186,7 @@ def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
             "reached_b_mm": side,
             "q_j_mm": side,
             "error_mm": 0.1,
+            "pen_up": False,
         }
     )
     figure = plans([(4, Strokes(waypoints), np.array([[0.0, 0], [0, 1], [1, 0], [1, 1]]))])
