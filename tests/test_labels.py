@@ -1,13 +1,24 @@
 """Labels of the kept robots over boxes of their workspaces, against other solvers."""
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
-from iksamples.arm.inverse import Solution, jumps, largest_usable_box, solve
+from iksamples.arm.inverse import (
+    Solution,
+    jumps,
+    largest_usable_box,
+    require_usable_lattice,
+    solve,
+)
 from iksamples.arm.load import load_arm
 from iksamples.arm.target import Target
+from iksamples.errors import IksamplesError
+from iksamples.samples.record import require_workspace
+from iksamples.study import parse_study
+from iksamples.task import study_task
 
 
 DOWN = np.diag([1.0, -1, -1])
@@ -137,6 +148,7 @@ def test_planar_and_scara_labels_are_the_law_of_cosines(rng):
             np.testing.assert_allclose(joints[:, 3], x[:, 3] - shoulder - elbow, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "n"), [("ur5e-down", 10_000), ("ur5e-pose", 10_000), ("iiwa-locked", 10_000)]
 )
@@ -207,7 +219,12 @@ def test_scipy_finds_the_same_nearest_posture(name, rng):
         np.testing.assert_allclose(label / weight, best.x, atol=2e-5)
 
 
-@pytest.mark.parametrize("name", ["planar2r", "ur5e-down", "panda-down", "iiwa-down", "so101-down"])
+@pytest.mark.parametrize(
+    "name",
+    ["planar2r", "so101-down"]
+    + [pytest.param(name, marks=pytest.mark.slow)
+       for name in ("ur5e-down", "panda-down", "iiwa-down")],
+)  # fmt: skip
 def test_a_box_across_the_reach_is_masked_and_a_smaller_one_proposed(name):
     """Three times the sides of the box: parts cannot be used, and what can hangs together."""
     job = JOBS[name]
@@ -229,6 +246,36 @@ def test_a_box_across_the_reach_is_masked_and_a_smaller_one_proposed(name):
     assert usable[inside].all()
     for point in np.flatnonzero(~solution.usable)[:50]:
         assert any(word in solution.why_not(point) for word in ("out of reach", "outside its lim"))
+
+
+def test_a_refused_box_says_where_and_what_would_do():
+    job = JOBS["ur5e-down"]
+    job = Job("ur5e", job.target, UR5E, [-940, -560, -130], [-100, 300, 710])
+    points, axes = lattice(job, 9)
+    with pytest.raises(IksamplesError, match="Move it") as refusal:
+        require_usable_lattice(job.solve(points), axes, "The workspace", "Move it.")
+    message = str(refusal.value)
+    assert "of 729 points cannot be used" in message
+    numbers = re.search(
+        r"largest usable box inside is x (.+) to (.+) mm, y (.+) to (.+) mm, z (.+) to (.+) mm\.",
+        message,
+    ).groups()
+    low, high = np.array(numbers, float).reshape(3, 2).T
+    assert job.solve(np.stack([low, high, (low + high) / 2])).usable.all()
+    # The paper's arm, whose closed form needs no home.
+    wide = parse_study({"name": "wide", "workspace": {"upper_mm": [110, 110, 60]}})
+    with pytest.raises(IksamplesError, match="largest usable box inside is x 20 to"):
+        require_workspace(wide, study_task(wide))
+
+
+def test_a_box_that_is_torn_inside_is_refused_and_the_tear_left_out():
+    """The UR5e past its base: both points are usable, but not from one to the other."""
+    job = JOBS["ur5e-down"]
+    job = Job("ur5e", job.target, UR5E, [-101, 94, -25], [-99, 96, 80])
+    solution = job.solve(lattice(job, 2)[0])
+    assert solution.usable.all()
+    with pytest.raises(IksamplesError, match="the joints jump at 8 of 8 points"):
+        require_usable_lattice(solution, lattice(job, 2)[1], "The workspace", "Move it.")
 
 
 def test_a_singular_point_is_told_and_the_other_side_is_not_taken(rng):

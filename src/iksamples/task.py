@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain, Unit, roll_pitch_yaw
-from iksamples.arm.inverse import Solution, solve
+from iksamples.arm.inverse import Solution, jumps, solve
 from iksamples.arm.load import load_arm
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
@@ -212,7 +212,12 @@ def usable_region(x: Space, label: Callable[[ArrayLike], Solution]) -> Region:
     sides = [np.linspace(*limits, 2 * n + 1) for limits in zip(x.lower, x.upper, strict=True)]
     lattice = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, d)
     found = label(lattice)
-    usable = found.usable.reshape((2 * n + 1,) * d)
+    shape = (2 * n + 1,) * d
+    usable = found.usable
+    if found.home is not None and not usable.all():
+        # On the far sides of what the arm cannot pass, labels may be on two branches.
+        usable = usable & ~jumps(found, shape)
+    usable = usable.reshape(shape)
     for axis in range(d):
         first, middle, last = (
             np.take(usable, range(start, start + 2 * n - 1, 2), axis) for start in (0, 1, 2)

@@ -255,6 +255,38 @@ def largest_usable_box(
     return np.array([c[0] for c in corners]), np.array([c[1] for c in corners])
 
 
+def require_usable_lattice(
+    solution: Solution, axes: Sequence[ArrayLike], what: str, remedy: str
+) -> None:
+    """Stops where a point of a lattice is not usable, or where the joints jump between two.
+
+    Args:
+        solution: Labels of the lattice, its last axis running fastest.
+        axes: The lattice's coordinates along each axis, ascending, of shape (n_i,).
+        what: What the lattice covers, for the message.
+        remedy: What the user can do.
+
+    Raises:
+        IksamplesError: Names the first such point and why, and the largest usable box inside.
+    """
+    shape = [len(np.asarray(axis)) for axis in axes]
+    torn = jumps(solution, shape) if solution.home is not None else np.zeros(len(solution.x), bool)
+    usable = solution.usable & ~torn
+    if usable.all():
+        return
+    box = largest_usable_box(usable.reshape(shape), axes)
+    if box:
+        ends = zip(solution.target.names, *box, solution.target.units, strict=True)
+        sides = ", ".join(f"{name} {low:g} to {high:g} {unit}" for name, low, high, unit in ends)
+        remedy = f"The largest usable box inside is {sides}. {remedy}"
+    solution.require_usable(what, remedy)
+    first = _in_words(solution.target, solution.x[int(np.argmax(torn))])
+    raise IksamplesError(
+        f"{what}: the joints jump at {int(torn.sum())} of {len(torn)} points, first at {first}, to "
+        f"a neighbour that the arm reaches from the other side of a singularity. {remedy}"
+    )
+
+
 def _checked_home(chain: SerialChain, home: ArrayLike) -> Floats:
     home = np.asarray(home, float)
     if home.shape != (chain.n_joints,) or not np.isfinite(home).all():

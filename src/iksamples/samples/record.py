@@ -6,6 +6,7 @@ from typing import get_args
 import numpy as np
 
 from iksamples.arm.chain import Floats
+from iksamples.arm.inverse import require_usable_lattice
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
@@ -222,8 +223,11 @@ def require_workspace(study: Study, task: Task) -> None:
     if study.samples.unreachable == "error":
         m = max(2, int(_LATTICE_POINTS ** (1 / len(task.x)) + 1e-9))
         lattice = designs.full_grid(task.x.lower, task.x.upper, m)
-        task.reach(lattice).require_usable(
-            "The workspace", "Move it, or set samples.unreachable: mask."
+        require_usable_lattice(
+            task.reach(lattice),
+            list(np.linspace(task.x.lower, task.x.upper, m).T),
+            "The workspace",
+            "Move it, or set samples.unreachable: mask.",
         )
 
 
