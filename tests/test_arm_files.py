@@ -319,3 +319,12 @@ def test_a_broken_csv_is_refused_in_one_line(tmp_path, old, new, message):
         load(tmp_path, MODIFIED.replace(old, new), "arm.csv")
     with pytest.raises(IksamplesError, match="has no links"):
         load(tmp_path, MODIFIED, "arm.csv", tip_link="tip")
+
+
+def test_the_tables_in_the_docs_are_read_as_one_arm(tmp_path):
+    text = Path("docs/arms.md").read_text()
+    yaml = text.split("```yaml\n")[1].split("```")[0]
+    table = text.split("```\n# convention")[1].split("```")[0]
+    arm = load(tmp_path, yaml, "arm.yaml")
+    same_arm(load(tmp_path, "# convention" + table, "arm.csv"), arm)
+    assert arm.joint_units == ("rad", "rad", "mm", "rad")

@@ -11,7 +11,9 @@ class Robot(Section):
     """Which arm, and which of its inverse kinematics is meant."""
 
     urdf: str = Field(
-        "config/robots/rrr70.urdf", description="URDF of the arm, relative to the working folder."
+        "config/robots/rrr70.urdf",
+        description="The arm, relative to the working folder: a URDF, or a table of its "
+        "Denavit-Hartenberg parameters (.csv, .yaml; docs/arms.md).",
     )
     base_link: str | None = Field(None, description="First link of the chain; null: the root link.")
     tip_link: str | None = Field(
@@ -25,8 +27,10 @@ class Robot(Section):
         description="Inverse kinematics that labels the samples: a closed form, Newton's method "
         "continued from the home posture, or the first of the two that fits the arm.",
     )
-    elbow: Literal["negative", "positive"] = Field(
-        "negative", description="Branch of the closed form: sign of the elbow angle."
+    elbow: Literal["negative", "positive"] | None = Field(
+        None,
+        description="Branch of the closed form: sign of the elbow angle; null: as in the home "
+        "posture or else the middle of the limits, and up where that is stretched.",
     )
     home_rad: dict[str, float] = Field(
         {},
