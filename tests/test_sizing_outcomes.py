@@ -351,3 +351,23 @@ class TestDiagnosis:
         ]
         assert "60 % of its error" in found[1].text
         assert "40 % of its error" in found[2].text
+
+
+def test_an_angle_counts_as_many_millimetres_as_are_allowed_of_it(results):
+    """Both components are met where the larger share of what is allowed is at most one."""
+    certify(results)
+    study = make_study(
+        task={"orientation": "fixed", "reference_rpy_rad": [0, 0, 0]},
+        tolerance={"error_mm": 4, "angle_deg": 0.5},
+    )
+    runs = collect(study, results)
+    runs["angle_max_deg"] = np.where(runs["seed"] == 0, 0.7, 0.1)
+    plain = outcomes(make_study(tolerance={"error_mm": 4}), runs)
+    rows = outcomes(study, runs)
+    angle = runs.loc[runs["region"] == "workspace", "angle_max_deg"].to_numpy()
+    np.testing.assert_allclose(rows["error_mm"], np.fmax(plain["error_mm"], 8 * angle))
+    assert not rows["certified"].any()
+    with pytest.raises(
+        IksamplesError, match=r"angle_deg' is of no use with 'task.orientation: free"
+    ):
+        make_study(tolerance={"angle_deg": 1})

@@ -79,6 +79,14 @@ ERRORS: dict[str, Column] = {
 }
 """Statistics of one training's errors over a region."""
 
+ANGLES: dict[str, Column] = {
+    "angle_mean_deg": Column("deg", "mean angle to how the tool is to be turned"),
+    "angle_p95_deg": Column("deg", "95th percentile of that angle"),
+    "angle_p99_deg": Column("deg", "99th percentile of that angle"),
+    "angle_max_deg": Column("deg", "largest such angle measured"),
+}
+"""The same of the tool's orientation; empty where that is free."""
+
 RUNS: dict[str, Column] = {
     "method": Column("-", "name of the method"),
     "design": Column("-", "how the samples are placed; method and design make a variant"),
@@ -91,6 +99,7 @@ RUNS: dict[str, Column] = {
     "diverged": Column("-", "whether its weights are not finite: a training that failed"),
     "region": Column("-", "`workspace`, or the name of a path"),
     **ERRORS,
+    **ANGLES,
     "sup_lower_mm": Column("mm", "proved: an error that is taken in the workspace"),
     "sup_upper_mm": Column("mm", "proved: no position of the workspace has a larger error"),
     "verified": Column("-", "whether the separate checker proved that; empty bounds where not"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from iksamples.columns import ERRORS, RUNS
+from iksamples.columns import ANGLES, ERRORS, RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
 from iksamples.results import Cell, cells, certified, networks
@@ -164,7 +164,7 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
             "region": errors["region"].replace({CUBE: WORKSPACE}).astype(str),
         }
     )
-    return rows.join(errors[list(ERRORS)].astype(float))
+    return rows.join(errors.reindex(columns=[*ERRORS, *ANGLES]).astype(float))
 
 
 def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":

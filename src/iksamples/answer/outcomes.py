@@ -57,7 +57,8 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
 
     For the worst case over the workspace that is the proved upper bound where there is one, and
     else the largest error measured, which is less than the true worst case. Everything else is
-    measured. A training that diverged has an infinite error: it failed.
+    measured, angles too; where the tolerance has one, a degree counts as so many millimetres that
+    both are allowed as much. A training that diverged has an infinite error: it failed.
 
     Args:
         study: The study; its ``tolerance`` says which error.
@@ -72,10 +73,17 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     rows = runs[runs["region"] == tolerance.where].reset_index(drop=True)
     measured = rows[measured_column(tolerance)].where(~rows["diverged"], np.inf)
     rows["error_mm"] = rows["attained_mm"] = measured
-    rows["certified"] = is_certifiable(tolerance) & rows["verified"]
+    rows["certified"] = is_certifiable(tolerance) & rows["verified"] & (not tolerance.angle_deg)
     if is_certifiable(tolerance):
         rows["error_mm"] = rows["sup_upper_mm"].fillna(measured)
         rows["attained_mm"] = np.fmin(np.fmax(measured, rows["sup_lower_mm"]), rows["sup_upper_mm"])
+    if tolerance.angle_deg:
+        # Both are met where the larger of the two, each over what is allowed of it, is at most one.
+        column = measured_column(tolerance).replace("error", "angle").replace("_mm", "_deg")
+        turned = rows[column] * (tolerance.error_mm / tolerance.angle_deg)
+        turned = turned.where(~rows["diverged"], np.inf)
+        rows["error_mm"] = np.fmax(rows["error_mm"], turned)
+        rows["attained_mm"] = np.fmax(rows["attained_mm"], turned)
     return rows[list(COLUMNS)]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from iksamples.answer.answer import Confidence, Size, VariantAnswer
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.samples.record import N_CORNERS
-from iksamples.study import NETWORK, Study
+from iksamples.study import NETWORK, Study, Tolerance
 from iksamples.text import (
     described,
     millimetres,
@@ -107,7 +107,7 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
         lines.append(
             _EXTRAPOLATED.format(
                 n=several(beyond.record_next, "sample"),
-                limit=plain_millimetres(study.tolerance.error_mm),
+                limit=_limit(study.tolerance),
                 low=whole(np.floor(beyond.needed.low)),
                 high=whole(np.ceil(beyond.needed.high)),
             )
@@ -137,13 +137,22 @@ def points_measured(study: Study) -> int:
     return count_waypoints(study.evaluation.paths[where])
 
 
+def _limit(tolerance: Tolerance) -> str:
+    """What is allowed: ``2 mm``, or ``2 mm and 1° (1° counts as 2 mm)``."""
+    limit = plain_millimetres(tolerance.error_mm)
+    if not tolerance.angle_deg:
+        return limit
+    counts = plain_millimetres(tolerance.error_mm / tolerance.angle_deg)
+    return f"{limit} and {tolerance.angle_deg:g}° (1° counts as {counts})"
+
+
 def _asked(study: Study, variants: Sequence[VariantAnswer], confidence: Confidence) -> str:
     """What is required, as the head of a sentence."""
     tolerance = study.tolerance
     proved = tolerance.of == "worst" and any(one.shown.certified for one in variants)
     path = tolerance.where != "workspace"
     text = _ASKED["proved" if proved else tolerance.of].format(
-        limit=plain_millimetres(tolerance.error_mm),
+        limit=_limit(tolerance),
         place=f"the path {tolerance.where}" if path else "the workspace",
         points=_points(study),
         along="along" if path else "in",

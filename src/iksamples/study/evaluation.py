@@ -70,6 +70,13 @@ class Tolerance(Section):
     """What is good enough: the question that the study answers."""
 
     error_mm: float = Field(2.0, gt=0, description="Largest position error allowed [mm].")
+    angle_deg: float | None = Field(
+        None,
+        gt=0,
+        le=180,
+        description="Largest angle allowed [deg], where the tool's orientation is asked for; null: "
+        "not judged. Both must be met: a degree counts as `error_mm / angle_deg` millimetres.",
+    )
     of: Literal["worst", "p99", "p95", "mean"] = Field(
         "worst",
         description="Which error: the certified worst case over the workspace, a percentile, or "

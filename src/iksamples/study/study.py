@@ -82,6 +82,10 @@ class Study(Section):
                 raise ValueError(
                     f"evaluation.paths: '{name}' means the whole workspace; choose another name"
                 )
+        if self.tolerance.angle_deg and self.task.orientation == "free":
+            raise ValueError(
+                "'tolerance.angle_deg' is of no use with 'task.orientation: free'; leave it out"
+            )
         places = ("workspace", *self.evaluation.paths)
         if self.tolerance.where not in places:
             raise ValueError(f"'tolerance.where' should be one of {', '.join(places)}")
