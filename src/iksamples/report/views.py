@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.report import style
+from iksamples.report.markdown import mm
 
 
 _AZIMUTH_RAD, _ELEVATION_RAD = np.deg2rad(-62.0), np.deg2rad(22.0)
@@ -68,24 +69,30 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
     """
     names = panels[0][1].names
     pairs = list(combinations(range(len(names)), 2))[:: 2 if len(names) == 3 else 1]
-    height = 0.75 + 3.55 * len(panels)
+    # A pair of rows for each network, or two networks side by side where there is one pair.
+    rows = -(-len(panels) * len(pairs) // 2)
+    height = 0.75 + 3.55 * rows
     figure, axes = style.panels(
-        len(panels),
-        len(pairs),
+        rows,
+        2,
         height,
-        width_in=3.8 * len(pairs),
-        left=0.085 * 2 / len(pairs),
+        width_in=7.6,
+        left=0.085,
         wspace=0.24,
         hspace=0.22,
         bottom=0.42 / height,
         top=1 - 0.55 / height,
     )
+    flat = [axis for row in axes for axis in row]
+    for axis in flat[len(panels) * len(pairs) :]:
+        axis.set_visible(False)
     everything = np.concatenate(
         [points for _, path, samples in panels for points in (path.target, path.reached, samples)]
     )
     low, high = everything.min(axis=0), everything.max(axis=0)
     half = 0.54 * np.max(high - low)
-    for row, (n, path, samples) in zip(axes, panels, strict=True):
+    for k, (n, path, samples) in enumerate(panels):
+        row = flat[k * len(pairs) : (k + 1) * len(pairs)]
         for axis, (i, j) in zip(row, pairs, strict=True):
             seen = np.unique(samples[:, [i, j]].round(6), axis=0)
             axis.scatter(
@@ -97,7 +104,7 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
             axis.set_xlim((low + high)[i] / 2 - half, (low + high)[i] / 2 + half)
             axis.set_ylim((low + high)[j] / 2 - half, (low + high)[j] / 2 + half)
             axis.set_aspect("equal")
-        row[0].set_title(f"{n} samples; mean error {path.error.mean():.2f} mm")
+        row[0].set_title(f"{n} samples; mean error {mm(path.error.mean())}")
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper right", ncols=3, borderaxespad=0.1)
     return figure
@@ -140,7 +147,7 @@ def arm(
             points = _project(path.in_space(samples))
             axis.plot(*points.T, ".", ms=3, color=style.SAMPLE, label="samples", zorder=4)
         axis.set_title(
-            f"{n} samples: mean error {path.error.mean():.1f} mm, here {path.error.max():.1f} mm",
+            f"{n} samples: mean error {mm(path.error.mean())}, here {mm(path.error.max())}",
             loc="center",
         )
         seen += [_project(points) for points in (links, reached, *edges)]
@@ -166,7 +173,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
     titles = list(dict.fromkeys(slices["slice"]))
     figure, axes = style.panels(
         1, len(titles), 3.25, 9.2 if len(titles) > 1 else 4.6, sharey=True, wspace=0.12,
-        left=0.06 if len(titles) > 1 else 0.13, right=0.88, top=0.9,
+        left=0.06 if len(titles) > 1 else 0.13, right=0.93 if len(titles) > 1 else 0.86, top=0.9,
     )  # fmt: skip
     levels = MaxNLocator(10).tick_values(0.0, float(slices["error_mm"].max()))
     for axis, title in zip(axes[0], titles, strict=True):
@@ -183,7 +190,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
         axis.set_aspect("equal")
         axis.grid(visible=False)
     axes[0][0].set_ylabel(_axis_title(up))
-    bar = figure.colorbar(filled, cax=figure.add_axes((0.9, 0.16, 0.013, 0.7)))
+    bar = figure.colorbar(filled, ax=axes[0], fraction=0.02 * len(titles), pad=0.02)
     bar.set_label("position error [mm]")
     return figure
 
@@ -193,7 +200,7 @@ def _worst(axis: Axes, at: "pd.Series[float]", across: str, up: str, rows: pd.Da
     right, high = (at[name] > rows[name].mean() for name in (across, up))
     axis.plot(at[across], at[up], "o", ms=6, color=style.TARGET, mec="white", clip_on=False)
     axis.annotate(
-        f"{at['error_mm']:.1f} mm",
+        mm(at["error_mm"], 1),
         (at[across], at[up]),
         (-7 if right else 7, -11 if high else 6),
         textcoords="offset points",
