@@ -60,7 +60,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
     folders = [tmp_path / "a", tmp_path / "b"]
     run.train(study, sets, folders)
     for samples, folder in zip(sets, folders, strict=True):
-        assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+        assert sorted(path.name for path in folder.glob("[!.]*")) == sorted(FILES)
         network = StackedMLP.load(folder / "weights.safetensors")
         assert network.seeds == (4, 5, 6)
         np.testing.assert_array_equal(network.scale_mm, samples.scale_mm)
@@ -147,13 +147,18 @@ def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, trained):
     assert trained[2:] == [("grid3", [0, 1])]
 
 
-def test_a_damaged_cache_file_is_trained_again(tmp_path, trained):
+@pytest.mark.parametrize(
+    "damage",
+    [lambda b: b[:100], lambda b: b[:-40] + bytes([b[-40] ^ 1]) + b[-39:]],
+    ids=["cut", "one bit"],
+)
+def test_a_damaged_cache_file_is_trained_again(tmp_path, trained, damage):
     cache, out = tmp_path / "cache", tmp_path / "out"
     samples = grid_samples(make_study(), study_task(make_study()), 2)
     run.train(make_study(), [samples], [out], cache)
     before = contents(out)
     (file,) = cache.rglob("*.safetensors")
-    file.write_bytes(file.read_bytes()[:100])
+    file.write_bytes(damage(file.read_bytes()))
     run.train(make_study(), [samples], [out], cache)
     assert len(trained) == 2
     assert contents(out) == before

@@ -196,6 +196,42 @@ def test_a_password_is_in_no_file_and_on_no_console(project, tmp_path):
         assert not file.is_file() or b"hush" not in file.read_bytes(), file
 
 
+def cut(file):
+    """As after a full disk, or a hand."""
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def flip(file):
+    """One bit, as a failing disk flips it."""
+    content = bytearray(file.read_bytes())
+    content[-40] ^= 1
+    file.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("damage", "file", "target"),
+    [
+        (flip, "network/grid3/weights.safetensors", "network/grid3/errors.parquet"),
+        (cut, "network/grid2/errors.parquet", "runs.parquet"),
+        (cut, "certificates.csv", "table.csv"),
+    ],
+)
+def test_what_was_damaged_is_noticed_and_made_again(project, tmp_path, damage, file, target):
+    folder = tmp_path / "damaged"
+    shutil.copytree(project, folder)
+    results = folder / "results/tiny"
+    before = (results / file).read_bytes()
+    command = (f"results/tiny/{target}", "--cores", "2", "--configfile", TINY)
+    (results / target).unlink()
+    damage(results / file)
+    done = snakemake(folder, *command, check=False)
+    assert f"{file}: not as it was written (SHA-256), so nothing is read" in done.stderr
+    assert "Traceback" not in done.stderr
+    snakemake(folder, *command)
+    assert (results / file).read_bytes() == before
+    assert (results / target).read_bytes() == (project / "results/tiny" / target).read_bytes()
+
+
 @pytest.mark.parametrize(
     "file",
     ["network/grid2/weights.safetensors", "network/grid3/errors.parquet", "certificates.csv"],

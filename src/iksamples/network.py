@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.errors import IksamplesError
+from iksamples.files import checked
 
 
 Floats = NDArray[np.float64]
@@ -121,7 +122,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, NDArray], dict[str, Any]]:
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(str(path), framework="numpy") as file:
+        with safe_open(str(checked(path)), framework="numpy") as file:
             header = json.loads(file.metadata()["iksamples"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, KeyError, TypeError) as error:

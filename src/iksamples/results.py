@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from iksamples.files import checked
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
@@ -55,7 +56,7 @@ class Cell:
         """One of the cell's tables: history, members, waypoints, errors, cube or bounds."""
         import pandas as pd
 
-        return pd.read_parquet(self.folder / f"{name}.parquet")
+        return pd.read_parquet(checked(self.folder / f"{name}.parquet"))
 
     @cached_property
     def sound_errors(self) -> "pd.DataFrame":

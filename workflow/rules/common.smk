@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from iksamples.errors import IksamplesError
+from iksamples.files import whole_file
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study, read_study
@@ -66,11 +67,8 @@ def write_study():
     It is not an input of theirs: each re-runs when the settings among its params change. (As an
     `ancient` output of a rule, a changed study would hide the jobs below that rule from Snakemake.)
     """
-    file = Path(f"results/{STUDY.name}/study.json")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".unfinished")
-    unfinished.write_text(STUDY.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    unfinished.replace(file)
+    with whole_file(f"results/{STUDY.name}/study.json") as file:
+        file.write_text(STUDY.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
 # What a study says reaches the rules through functions: Snakemake takes braces in plain values,

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from iksamples.errors import IksamplesError
+from iksamples.files import checked
 from iksamples.stats import Interval, Number
 from iksamples.study import Tolerance
 
@@ -210,7 +211,7 @@ def read_answer(results: str | Path) -> Answer:
     """
     path = Path(results) / FILE
     try:
-        text = path.read_text(encoding="utf-8")
+        text = checked(path).read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
         raise IksamplesError(_unfinished(Path(results))) from None
     except (OSError, UnicodeDecodeError) as error:

@@ -11,6 +11,7 @@ import numpy as np
 from iksamples.columns import ANGLES, ERRORS, RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
+from iksamples.files import checked
 from iksamples.results import Cell, cells, certified, networks
 from iksamples.study import Study
 
@@ -86,7 +87,7 @@ def certificates(study: Study, results: str | Path, method: str | None = None) -
     for name in certified(study):
         file = Path(results) / name / "certificates.csv"
         try:
-            frames.append(pd.read_csv(file))
+            frames.append(pd.read_csv(checked(file)))
         except (OSError, ValueError) as error:
             raise IksamplesError(
                 f"{file}: cannot be read ({error}). Run the study to its end."
@@ -109,7 +110,7 @@ def read_runs(results: str | Path) -> "pd.DataFrame":
 
     file = Path(results) / FILE
     try:
-        table = pd.read_parquet(file)
+        table = pd.read_parquet(checked(file))
     except (OSError, ValueError) as error:
         raise IksamplesError(
             f"{file}: cannot be read ({error}). Run the study to its end."

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
+from iksamples.files import checked
 from iksamples.results import Cell, cells
 from iksamples.study import Study, Tolerance
 
@@ -39,7 +40,7 @@ def certificates(results: str | Path) -> "pd.DataFrame | None":
     import pandas as pd
 
     path = Path(results) / "certificates.csv"
-    return pd.read_csv(path) if path.exists() else None
+    return pd.read_csv(checked(path)) if path.exists() else None
 
 
 def is_certifiable(tolerance: Tolerance) -> bool:

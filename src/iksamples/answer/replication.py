@@ -8,6 +8,7 @@ from pydantic import Field, TypeAdapter
 from iksamples.answer.answer import Answer, Part, VariantAnswer
 from iksamples.answer.sizes import by_size
 from iksamples.errors import IksamplesError
+from iksamples.files import checked
 from iksamples.results import sample_sets
 from iksamples.stats import Interval, best_of_share, share_interval
 from iksamples.study import Study, Tolerance
@@ -157,7 +158,7 @@ def read_replications(results: str | Path) -> list[Replication]:
     if not file.exists():
         return []
     try:
-        return _LIST.validate_json(file.read_bytes())
+        return _LIST.validate_json(checked(file).read_bytes())
     except ValueError as error:
         raise IksamplesError(f"{file}: not of this version ({error}). Run it again.") from None
 

@@ -13,8 +13,8 @@ from iksamples.cli.common import (
     app,
     open_study,
     require_feasible,
-    whole_file,
 )
+from iksamples.files import whole_file
 
 
 class Strategy(StrEnum):

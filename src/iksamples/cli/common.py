@@ -1,7 +1,6 @@
 """What the commands share: the application, its options, and opening and writing files."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -103,15 +102,3 @@ def require_feasible(study: "Study", task: "Task") -> None:
 
     require_workspace(study, task)
     require_reachable(study, task)
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Gives a temporary name beside a file, and the file's own name once all is written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".unfinished-{path.name}")
-    try:
-        yield unfinished
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -19,9 +19,9 @@ from iksamples.cli.common import (
     record_sets,
     require_feasible,
     require_one_of,
-    whole_file,
 )
 from iksamples.errors import IksamplesError
+from iksamples.files import checked, kept_file
 
 
 @app.command()
@@ -45,7 +45,7 @@ def samples(
     require_feasible(study, task)
     wanted = {label: sets[label] for label in name or sets}
     for recorded in record_sets(study, task, wanted):
-        with whole_file(output / f"{recorded.label}.parquet") as file:
+        with kept_file(output / f"{recorded.label}.parquet") as file:
             recorded.save(file)
 
 
@@ -92,7 +92,7 @@ def evaluate(
             if why_not:
                 typer.echo(why_not, err=True)
             for kind, table in tables.items():
-                with whole_file(cell / f"{kind}.parquet") as file:
+                with kept_file(cell / f"{kind}.parquet") as file:
                     table.to_parquet(file)
 
 
@@ -109,8 +109,9 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     for samples in load_samples(samples_files):
         cell = folder / samples.label
         network = StackedMLP.load(cell / "weights.safetensors")
-        table = audit(study, samples, network, pd.read_parquet(cell / "cube.parquet"))
-        with whole_file(cell / "bounds.parquet") as file:
+        cube = pd.read_parquet(checked(cell / "cube.parquet"))
+        table = audit(study, samples, network, cube)
+        with kept_file(cell / "bounds.parquet") as file:
             table.to_parquet(file)
 
 
@@ -137,7 +138,7 @@ def prove(
     rows = [
         certify(study, task, method, samples, folder / samples.label) for samples in all_samples
     ]
-    with whole_file(output) as file:
+    with kept_file(output) as file:
         pd.concat(rows).to_csv(file, index=False)
 
 
@@ -160,7 +161,7 @@ def map_(study_file: StudyFile, results: Results) -> None:
         tables = map_cell(study, task, cell)
         tables["slices"] = pd.concat(shown) if shown else pd.DataFrame(columns=["seed"])
         for name, rows in tables.items():
-            with whole_file(cell.folder / f"{name}.parquet") as file:
+            with kept_file(cell.folder / f"{name}.parquet") as file:
                 rows.to_parquet(file)
 
 
@@ -173,9 +174,9 @@ def collect(study_file: StudyFile, results: Results) -> None:
 
     study = read_study(study_file)
     runs = collect_runs(study, results)
-    with whole_file(results / "certificates.csv") as file:
+    with kept_file(results / "certificates.csv") as file:
         certificates(study, results).to_csv(file, index=False)
-    with whole_file(results / FILE) as file:
+    with kept_file(results / FILE) as file:
         runs.to_parquet(file)
 
 
@@ -189,13 +190,13 @@ def table(study_file: StudyFile, results: Results) -> None:
     from iksamples.results import cells
 
     study, task = open_study(study_file)
-    proofs = pd.read_csv(results / "certificates.csv")
+    proofs = pd.read_csv(checked(results / "certificates.csv"))
     tables = {
         "table.csv": study_table(study, cells(study, results), proofs),
         "claims.csv": claims_table(study, task, results, proofs),
     }
     for name, rows in tables.items():
-        with whole_file(results / name) as file:
+        with kept_file(results / name) as file:
             rows.to_csv(file, index=False)
 
 
@@ -210,9 +211,9 @@ def answer(study_file: StudyFile, results: Results) -> None:
     study = read_study(study_file)
     found = answer_study(study, results)
     rows = outcomes(study, read_runs(results))
-    with whole_file(results / "samples-needed.csv") as file:
+    with kept_file(results / "samples-needed.csv") as file:
         samples_needed(study, rows).to_csv(file, index=False)
-    with whole_file(results / "answer.json") as file:
+    with kept_file(results / "answer.json") as file:
         file.write_text(found.to_json(), encoding="utf-8")
 
 
@@ -246,12 +247,12 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         fresh = fresh_study(study, one)
         folder = results / FRESH / f"{one.method}-{one.design}"
         settings, network = folder / "study.json", folder / NETWORK
-        with whole_file(settings) as file:
+        with kept_file(settings) as file:
             file.write_text(fresh.model_dump_json(indent=2) + "\n", encoding="utf-8")
         sets = [folder / "samples" / f"{label}.parquet" for label in sample_sets(fresh)]
         for samples in sets:
-            with whole_file(samples) as file:
-                copyfile(results / "samples" / samples.name, file)
+            with kept_file(samples) as file:
+                copyfile(checked(results / "samples" / samples.name), file)
         train(settings, sets, folder, folder / "cache")
         evaluate(settings, sets, [NETWORK], folder)
         prove(settings, sets, NETWORK, network, network / "certificates.csv")
@@ -259,7 +260,7 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         check = replication(study.tolerance, one, outcomes(fresh, read_runs(folder)))
         typer.echo(f"{one.method}, {one.design}: {check.statement}")
         found.append(check)
-    with whole_file(output) as file:
+    with kept_file(output) as file:
         file.write_text(to_json(found), encoding="utf-8")
 
 
@@ -275,7 +276,7 @@ def track(
     from iksamples.tracking.track import track as log_study
 
     study = read_study(study_file)
-    with whole_file(output) as file:
+    with kept_file(output) as file:
         log_study(study, cells(study, results), results / "table.csv", file)
 
 
@@ -293,7 +294,7 @@ def record(
 
     study = read_study(study_file)
     require_one_of(study.evaluation.paths, path, f"{study_file}: no path")
-    with whole_file(output) as file:
+    with kept_file(output) as file:
         record_path(study, path, cells(study, results), file)
 
 

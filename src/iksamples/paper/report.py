@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from iksamples.files import checked
 from iksamples.paper.audit import scale_mm
 from iksamples.paper.evidence import AVERAGE_NAMES
 from iksamples.report import style
@@ -34,10 +35,10 @@ def values(data: ReportData) -> dict[str, Any]:
         data: A study that was held against the paper.
     """
     study, results = data.study, data.results
-    table = pd.read_csv(results / TABLE)
+    table = pd.read_csv(checked(results / TABLE))
     table["ratio"] = table["error_mean_mm"] / table["paper_error_mm"]
     measured = table[table["error_mean_mm"].notna()]
-    claims = pd.read_csv(results / CLAIMS, keep_default_na=False)
+    claims = pd.read_csv(checked(results / CLAIMS), keep_default_na=False)
     claims.columns = pd.Index(["Claim", "Where", "Verdict", "Number or counter-example"])
     bounds, members = data.table("bounds"), data.table("members")
     path = study.evaluation.paths[data.first_path]

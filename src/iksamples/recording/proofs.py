@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import MM_PER_M, Floats
+from iksamples.files import checked
 from iksamples.recording.colours import ORANGE, RED
 from iksamples.results import Cell
 from iksamples.task import Task
@@ -208,7 +209,7 @@ def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, floa
     file = cell.folder.parent / "certificates.csv"
     if not file.exists():
         return None, float("nan")
-    table = pd.read_csv(file)
+    table = pd.read_csv(checked(file))
     rows = table[(table["label"] == cell.label) & (table["seed"] == seed)]
     if rows.empty:
         return None, float("nan")

@@ -15,6 +15,7 @@ from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
+from iksamples.files import checked
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
@@ -123,7 +124,11 @@ class ReportData:
     def samples_needed(self) -> pd.DataFrame:
         """Samples needed against tolerance; empty where that was not worked out."""
         file = self.results / "samples-needed.csv"
-        return pd.read_csv(file).dropna(subset="n_samples") if file.exists() else pd.DataFrame()
+        return (
+            pd.read_csv(checked(file)).dropna(subset="n_samples")
+            if file.exists()
+            else pd.DataFrame()
+        )
 
     @cached_property
     def certificates(self) -> pd.DataFrame:
@@ -131,7 +136,7 @@ class ReportData:
         file = self.results / "certificates.csv"
         if not file.exists():
             return pd.DataFrame()
-        table = pd.read_csv(file).drop(columns=["n_samples"])
+        table = pd.read_csv(checked(file)).drop(columns=["n_samples"])
         own = self.own[["label", "seed", "n_samples", "error_max_mm"]]
         return own.merge(table[table["method"] == NETWORK], on=["label", "seed"])
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from iksamples.files import whole_file
 from iksamples.report.markdown import summary, to_html
 from iksamples.report.write import html_environment, page
 
@@ -49,7 +50,6 @@ def _inline(picture: Path) -> Markup:
     return Markup(f'<img alt="{picture.stem}" src="data:image/png;base64,{data}">')
 
 
-def _write(file: Path, text: str) -> None:
-    unfinished = file.with_name(f".unfinished-{file.name}")
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.replace(file)
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as file:
+        file.write_text(text, encoding="utf-8")

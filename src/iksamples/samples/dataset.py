@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from iksamples import __version__
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
+from iksamples.files import checked
 from iksamples.region import Region
 from iksamples.task import Space
 
@@ -169,7 +170,7 @@ class SampleSet:
         from pyarrow import parquet
 
         try:
-            table = parquet.read_table(path)
+            table = parquet.read_table(checked(path))
             header = json.loads(table.schema.metadata[b"iksamples"])
             space, joint_space = (_from_json(header[key]) for key in ("space", "joint_space"))
         except FileNotFoundError:

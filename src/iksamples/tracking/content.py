@@ -15,6 +15,7 @@ import numpy as np
 
 from iksamples.answer.outcomes import certificates
 from iksamples.evaluation.errors import CUBE
+from iksamples.files import checked
 from iksamples.paper.table import over_seeds
 from iksamples.recording.colours import RED, Colour, blues
 from iksamples.results import Cell, cells
@@ -108,7 +109,7 @@ def study_runs(study: Study, cells: Iterable[Cell], table_path: Path) -> Iterato
     """
     import pandas as pd
 
-    table = pd.read_csv(table_path)
+    table = pd.read_csv(checked(table_path))
     rows = {row["samples_per_axis"]: row for _, row in table.iterrows()}
     cells = list(cells)
     grids = [

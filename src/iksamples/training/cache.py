@@ -6,15 +6,15 @@ is under way). The key is a digest of all that the numbers depend on, except the
 
 import hashlib
 import json
-import os
 import shutil
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from iksamples.files import digest_file, is_intact, kept_file
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
 from iksamples.training.record import Record
@@ -57,15 +57,10 @@ class Cache:
         self.folder = folder
 
     def load(self, key: str, seeds: Collection[int]) -> list[Record]:
-        """What is there of the given seeds; a file that cannot be read counts as absent."""
-        from safetensors import SafetensorError
-
+        """What is there of the given seeds; a file that is not as it was written is not there."""
         found, missing = [], set(seeds)
-        for path in self._files(key):
-            try:
-                record = Record.load(path)
-            except (OSError, SafetensorError, TypeError):
-                continue
+        for path in filter(is_intact, self._files(key)):
+            record = Record.load(path)
             usable = [int(seed) for seed in record.seeds if int(seed) in missing]
             missing.difference_update(usable)
             if usable:
@@ -75,18 +70,18 @@ class Cache:
     def add(self, key: str, record: Record) -> None:
         """Keeps a record beside what is there."""
         if self.folder is not None:
-            (self.folder / key).mkdir(parents=True, exist_ok=True)
-            write_whole(self._path(key, record), record.save)
+            with kept_file(self._path(key, record)) as file:
+                record.save(file)
 
     def settle(self, key: str, record: Record) -> None:
         """Keeps a record instead of what is there."""
         if self.folder is None:
             return
         path = self._path(key, record)
-        if not path.exists():
+        if not is_intact(path):
             self.add(key, record)
-        for other in self._files(key):
-            if other != path:
+        for other in (self.folder / key).iterdir():
+            if other not in (path, digest_file(path)):
                 other.unlink(missing_ok=True)
 
     def prune(self, keys: Collection[str]) -> None:
@@ -104,26 +99,3 @@ class Cache:
         seeds = np.sort(record.seeds)
         digest = hashlib.sha256(seeds.tobytes()).hexdigest()[:8]
         return self.folder / key / f"seeds-{seeds[0]}-{seeds[-1]}-{digest}.safetensors"
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes a file so that it appears complete or not at all.
-
-    Args:
-        path: The file.
-        write: Called with the path of a temporary file beside it.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(temporary)
-        # Some writers leave a file that only its owner may read.
-        temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.samples.dataset import SampleSet
-from iksamples.training.cache import write_whole
 from iksamples.training.problem import Problem
 from iksamples.training.record import METRICS, Record, unstack
 
@@ -23,16 +23,15 @@ def write_files(folder: Path, problem: Problem, samples: SampleSet, record: Reco
         samples: The samples it was posed on.
         record: The trained seeds, in the problem's order.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     network = final_network(problem, samples, record)
-    write_whole(folder / "weights.safetensors", network.save)
-    write_whole(
-        folder / "snapshots.safetensors",
-        lambda path: _save_snapshots(path, problem, network, record),
-    )
-    write_whole(folder / "history.parquet", lambda path: _save_table(path, _history(record)))
-    members = _members(problem, samples, record, network)
-    write_whole(folder / "members.parquet", lambda path: _save_table(path, members))
+    with kept_file(folder / "weights.safetensors") as file:
+        network.save(file)
+    with kept_file(folder / "snapshots.safetensors") as file:
+        _save_snapshots(file, problem, network, record)
+    with kept_file(folder / "history.parquet") as file:
+        _save_table(file, _history(record))
+    with kept_file(folder / "members.parquet") as file:
+        _save_table(file, _members(problem, samples, record, network))
 
 
 def final_network(problem: Problem, samples: SampleSet, record: Record) -> StackedMLP:

@@ -1,0 +1,85 @@
+"""Files that appear whole or not at all, and that are known again when they are read.
+
+Beside a file of results lies its SHA-256, ``.<name>.sha256``. A disk or a hand may change a file
+later; numbers read from such a file would be wrong without a sign of it.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from iksamples.errors import IksamplesError
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Gives a temporary name beside a file, and the file's own name once all is written."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        yield unfinished
+        # Some writers leave a file that only its owner may read.
+        unfinished.chmod(0o666 & ~_umask())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+@contextmanager
+def kept_file(path: str | Path) -> Iterator[Path]:
+    """As ``whole_file``, and keeps the file's digest, which ``checked`` and ``is_intact`` ask."""
+    path = Path(path)
+    with whole_file(path) as unfinished:
+        yield unfinished
+        # The digest comes first: a kill in between leaves a file that counts as damaged.
+        with whole_file(digest_file(path)) as digest:
+            digest.write_text(f"{_sha256(unfinished)}\n", encoding="ascii")
+
+
+def checked(path: str | Path) -> Path:
+    """The path of a file that is to be read, if it is as it was written.
+
+    One without a digest, such as one that was brought along, is taken as it is.
+
+    Raises:
+        IksamplesError: It was changed or damaged. It is then out of the way, so that the next run
+            makes it again.
+    """
+    path = Path(path)
+    if not path.exists() or not digest_file(path).exists() or is_intact(path):
+        return path
+    aside = path.with_name(f"{path.name}.damaged")
+    with suppress(OSError):  # a folder that cannot be written to
+        path.replace(aside)
+        digest_file(path).unlink()
+    raise IksamplesError(
+        f"{path}: not as it was written (SHA-256), so nothing is read from it; it is now called "
+        f"{aside.name}. Run the study again, which makes what is lost."
+    )
+
+
+def is_intact(path: Path) -> bool:
+    """Whether a file is there, has a digest, and is as it was written."""
+    try:
+        return digest_file(path).read_text(encoding="ascii").strip() == _sha256(path)
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def digest_file(path: Path) -> Path:
+    """Where the digest of a file lies."""
+    return path.with_name(f".{path.name}.sha256")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,71 @@
+"""Files that appear whole or not at all, and are known again when they are read."""
+
+import hashlib
+import stat
+import subprocess
+
+import pytest
+
+from iksamples.errors import IksamplesError
+from iksamples.files import checked, digest_file, is_intact, kept_file, whole_file
+
+
+@pytest.mark.parametrize("writer", [whole_file, kept_file])
+def test_a_file_appears_whole_or_not_at_all(tmp_path, writer):
+    path = tmp_path / "deep" / "table.csv"
+    with writer(path) as file:
+        assert file.suffix == ".csv"
+        file.write_text("old")
+        assert not path.exists()
+
+    def stopped():
+        with writer(path) as file:
+            file.write_text("half of the ne")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        stopped()
+    assert checked(path).read_text() == "old"
+    assert not list(path.parent.glob(".unfinished*"))
+    with writer(path) as file:
+        file.write_text("new")
+        file.chmod(0o600)
+    assert checked(path).read_text() == "new"
+    assert stat.S_IMODE(path.stat().st_mode) & 0o044
+
+
+def test_the_digest_is_what_sha256sum_says(tmp_path):
+    with kept_file(tmp_path / "a.bin") as file:
+        file.write_bytes(bytes(range(256)) * 9999)
+    kept = digest_file(tmp_path / "a.bin").read_text().strip()
+    done = subprocess.run(["sha256sum", tmp_path / "a.bin"], capture_output=True, text=True)
+    assert done.stdout.split()[0] == kept == hashlib.sha256(bytes(range(256)) * 9999).hexdigest()
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda b: b[:-1], lambda b: b"", lambda b: b[:7] + b"!" + b[8:], lambda b: b + b" "]
+)
+def test_a_damaged_file_is_not_read_and_out_of_the_way(tmp_path, damage):
+    path = tmp_path / "table.csv"
+    with kept_file(path) as file:
+        file.write_bytes(b"a,b\n1,2\n3,4\n")
+    assert is_intact(path)
+    path.write_bytes(damage(path.read_bytes()))
+    assert not is_intact(path)
+    with pytest.raises(IksamplesError, match=r"table.csv.damaged. Run the study again") as caught:
+        checked(path)
+    assert "\n" not in str(caught.value)
+    assert not path.exists()
+    assert (tmp_path / "table.csv.damaged").exists()
+    with kept_file(path) as file:
+        file.write_bytes(b"new")
+    assert checked(path) == path
+
+
+def test_a_file_that_was_brought_along_is_taken_as_it_is(tmp_path):
+    path = tmp_path / "brought.csv"
+    path.write_text("1")
+    assert checked(path) == path
+    assert not is_intact(path)
+    assert checked(tmp_path / "absent") == tmp_path / "absent"
+    assert not is_intact(tmp_path / "absent")
