@@ -1,6 +1,4 @@
-"""Where to record next: proposals, the adaptive design, and samples from elsewhere."""
-
-from dataclasses import replace
+"""Where to record next: proposals and the adaptive design."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +11,6 @@ from iksamples.answer.proposal import disagreement_mm, propose, spread
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.samples.designs import fill_distance
-from iksamples.samples.measured import read_samples, read_samples_csv
 from iksamples.samples.record import grid_samples, record_samples, region_points
 from iksamples.study import parse_study
 from iksamples.task import study_chain, study_task
@@ -200,73 +197,3 @@ def test_next_poses_are_usable_and_the_same_with_the_trained_weights(quick, tmp_
     (tmp_path / "other.safetensors").write_text("no weights")
     with pytest.raises(IksamplesError, match="not a file of trained networks"):
         next_poses(study, study_task(study), samples, 6, weights=tmp_path / "other.safetensors")
-
-
-def frame(chain, samples):
-    columns = dict(zip(("x_mm", "y_mm", "z_mm"), samples.positions_mm.T, strict=True))
-    columns |= {
-        f"q_{name}_rad": q for name, q in zip(chain.joint_names, samples.joints.T, strict=True)
-    }
-    return pd.DataFrame(columns)
-
-
-def test_samples_from_a_csv_are_those_written(study, task, chain, tmp_path, capsys):
-    samples = record_samples(study, task, "sobol", 8)
-    table = frame(chain, samples).assign(note="from the arm")[::-1]
-    table.to_csv(tmp_path / "arm.csv", index=False)
-    found = read_samples(study, task, tmp_path / "arm.csv")
-    assert (found.label, found.n_samples) == ("measured8", 8)
-    np.testing.assert_array_equal(found.positions_mm, samples.positions_mm[::-1])
-    np.testing.assert_array_equal(found.joints, samples.joints[::-1])
-    inputs = found.normalise(found.positions_mm)
-    np.testing.assert_allclose((inputs.min(axis=0), inputs.max(axis=0)), ([0] * 3, [1] * 3))
-    assert capsys.readouterr().err == ""
-    samples.save(tmp_path / "own.parquet")
-    assert read_samples(study, task, tmp_path / "own.parquet").digest() == samples.digest()
-
-
-def test_a_csv_of_a_real_arm_is_taken_with_a_word(study, task, chain, tmp_path, capsys):
-    samples = grid_samples(study, task, 3)
-    table = frame(chain, samples)
-    table.loc[4, "x_mm"] += 3.0
-    # The other elbow at the same place.
-    shoulder, elbow = table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"]
-    table.loc[7, "q_shoulder_rad"], table.loc[7, "q_elbow_rad"] = shoulder + elbow, -elbow
-    table.to_csv(tmp_path / "arm.csv", index=False)
-    found = read_samples_csv(study, task, tmp_path / "arm.csv")
-    assert found.n_samples == 27
-    said = capsys.readouterr().err
-    assert "1 of 27 samples are more than 1 mm" in said
-    assert "(sample 5: 3.0 mm)" in said
-    assert "another branch than the study's (sample 8)" in said
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda t: t.drop(columns=["y_mm"]), "no column y_mm; there are x_mm, z_mm"),
-        (lambda t: t.rename(columns={"q_yaw_rad": "q_yaw_deg"}), "no column q_yaw_rad"),
-        (lambda t: t[:1], "1 samples; at least 2"),
-        (lambda t: t.assign(z_mm=5.0), "z_mm is the same in every row"),
-        (lambda t: t.assign(x_mm=["1,5", *t["x_mm"][1:]]), "sample 1 has '1,5' as x_mm"),
-        (lambda t: t.assign(x_mm=[*t["x_mm"][:-1], np.nan]), "sample 8 has nothing as x_mm"),
-        (lambda t: t.assign(x_mm=[*t["x_mm"][:-1], np.inf]), "sample 8 has 'inf' as x_mm"),
-    ],
-)
-def test_a_faulty_csv_is_refused_with_the_reason(study, task, chain, tmp_path, spoil, message):
-    spoil(frame(chain, grid_samples(study, task, 2))).to_csv(tmp_path / "arm.csv", index=False)
-    with pytest.raises(IksamplesError, match=message):
-        read_samples_csv(study, task, tmp_path / "arm.csv")
-
-
-def test_files_that_are_no_samples_of_this_arm(study, task, tmp_path):
-    with pytest.raises(IksamplesError, match="cannot read the samples"):
-        read_samples_csv(study, task, tmp_path / "absent.csv")
-    (tmp_path / "empty.csv").write_text("")
-    with pytest.raises(IksamplesError, match="not a CSV file"):
-        read_samples_csv(study, task, tmp_path / "empty.csv")
-    joints = replace(task.q, names=("a", "b", "c"))
-    other = replace(grid_samples(study, task, 2), joint_space=joints)
-    other.save(tmp_path / "other.parquet")
-    with pytest.raises(IksamplesError, match="samples of the joints a, b, c"):
-        read_samples(study, task, tmp_path / "other.parquet")

@@ -117,7 +117,8 @@ def next_(
         Path,
         typer.Option(
             "--samples",
-            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad.",
+            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad, or in "
+            "other units that the names say, such as x_m and q1_deg.",
         ),
     ],
     output: Output,

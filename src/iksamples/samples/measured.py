@@ -1,68 +1,86 @@
 """Samples recorded elsewhere, such as on the real arm, read from a file."""
 
+import re
 import sys
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_set
+from iksamples.samples.recorded import Table, read_table
 from iksamples.study import Study
 from iksamples.task import Task
 
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 MEASURED = "measured"
 """What the design of such a set is called."""
 
+UNITS = {
+    "mm": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
+    "rad": {"rad": 1.0, "deg": np.pi / 180, "degrees": np.pi / 180, "°": np.pi / 180},
+}
+"""Unit here -> units that a name may say, and what a value in it is multiplied by."""
+
 _MISSED_MM = 1.0
 _OTHER_BRANCH_RAD = 0.5
+_NO_FIT, _FIT = 0.25, 0.05
+"""Median miss of the model, as a share of how far the samples are spread."""
+_NAMED_ROWS = 5
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A wanted column: its documented name, the unit here, and where it was found in what unit."""
+
+    wanted: str
+    unit: str
+    at: int
+    said: str | None
 
 
 def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
-    """Samples from a file: CSV by its name's end, else a Parquet file of this package.
+    """Samples from a file: a table with a column per coordinate and joint, or one of this package.
 
-    Raises:
-        IksamplesError: As ``read_samples_csv``, or the samples are another arm's.
-    """
-    if Path(path).suffix.lower() == ".csv":
-        return read_samples_csv(study, task, path)
-    samples = SampleSet.load(path)
-    if samples.joint_names != task.q.names:
-        raise IksamplesError(
-            f"{path}: samples of the joints {', '.join(samples.joint_names)}, but the study's arm "
-            f"has {', '.join(task.q.names)}. Name the study they were recorded for."
-        )
-    return samples
-
-
-def read_samples_csv(study: Study, task: Task, path: str | Path) -> SampleSet:
-    """Samples from a CSV file with columns ``x_mm``, ``y_mm``, ``z_mm`` and ``q_<joint>_rad``.
+    The columns are ``x_mm``, ``y_mm``, ``z_mm`` (the task's inputs) and ``q_<joint>_rad``, in any
+    order and either case; other units stand in the names (``x_m``, ``yaw [deg]``, ``q1_deg``) or in
+    a row below them. Where no unit is said, the one in which the arm's model fits is taken, and
+    said on stderr. Other columns are ignored.
 
     A real arm is never quite its model, so a row whose joint values do not reach its position is
-    kept; how many there are is said on stderr, and how many lie on another branch of the inverse
-    kinematics than the study's. Other columns are ignored.
+    kept; it is named on stderr, as are rows on another branch of the inverse kinematics, outside
+    the limits, a full turn off, or twice there.
 
     Args:
         study: The study; its fresh points check the training.
         task: Its task.
-        path: The file.
+        path: The file (``samples.recorded.read_table``).
 
     Raises:
         IksamplesError: The file cannot be read, lacks a column, holds something that is not a
-            number, or too little to span a volume.
+            number, too little to span a volume, or samples that are not this arm's.
     """
-    positions, joints = _numbers(path, task)
-    if len(positions) < 2:
-        raise IksamplesError(f"{path}: {len(positions)} samples; at least 2 are needed.")
+    if _is_ours(Path(path)):
+        samples = SampleSet.load(path)
+        if samples.joint_names != task.q.names:
+            raise IksamplesError(
+                f"{path}: samples of the joints {', '.join(samples.joint_names)}, but the study's "
+                f"arm has {', '.join(task.q.names)}. Name the study they were recorded for."
+            )
+        return samples
+    table = read_table(path)
+    columns, table = _columns(table, task)
+    values = table.numbers([column.at for column in columns])
+    if len(values) < 2:
+        raise IksamplesError(f"{path}: {len(values)} samples; at least 2 are needed.")
     flat = [
-        column
-        for column, extent in zip(task.x.columns(), np.ptp(positions, axis=0), strict=True)
+        column.wanted
+        for column, extent in zip(columns[: len(task.x)], np.ptp(values, axis=0), strict=False)
         if not extent
     ]
     if flat:
@@ -70,79 +88,181 @@ def read_samples_csv(study: Study, task: Task, path: str | Path) -> SampleSet:
             f"{path}: {flat[0]} is the same in every row, so the samples span no volume. "
             "Record some at another place, such as the workspace's corners."
         )
-    for line in _doubts(task, positions, joints):
+    values = values * _factors(table, task, columns, values)
+    inputs, joints = values[:, : len(task.x)], values[:, len(task.x) :]
+    for line in _doubts(task, table, inputs, joints):
         print(f"{path}: {line}", file=sys.stderr)
-    n = len(positions)
-    return sample_set(study, task, f"{MEASURED}{n}", MEASURED, positions, joints)
+    n = len(inputs)
+    return sample_set(study, task, f"{MEASURED}{n}", MEASURED, inputs, joints)
 
 
-def _numbers(path: str | Path, task: Task) -> tuple[Floats, Floats]:
-    """Positions [mm] and joint values [rad or mm] of every row, all finite."""
-    import pandas as pd
+def _is_ours(path: Path) -> bool:
+    import pyarrow as pa
+    from pyarrow import parquet
 
-    wanted = task.x.columns() + task.q.columns("q_")
     try:
-        # As text, so that a word among the numbers can be named.
-        table = pd.read_csv(path, dtype=str, skipinitialspace=True, encoding="utf-8-sig")
-    except OSError as error:
-        raise IksamplesError(f"{path}: cannot read the samples ({error.strerror}).") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise IksamplesError(f"{path}: not a CSV file ({reason}).") from None
-    table.columns = [str(name).strip() for name in table.columns]
-    missing = [name for name in wanted if name not in table]
+        return b"iksamples" in (parquet.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):
+        return False
+
+
+def _columns(table: Table, task: Task) -> tuple[list[_Column], Table]:
+    """Where each wanted column is and in what unit; and the table without its row of units."""
+    names = [_name_and_unit(name) for name in table.names]
+    below = [str(cell or "").strip().strip("[]()").lower() for cell in table.rows[0]]
+    known = {unit for units in UNITS.values() for unit in units}
+    if set(below) - {"", "-"} and set(below) <= known | {"", "-"}:
+        names = [(name, said or unit) for (name, said), unit in zip(names, below, strict=True)]
+        table = Table(table.path, table.names, table.rows[1:], table.lines[1:])
+    places = [(name, unit, [name]) for name, unit in zip(task.x.names, task.x.units, strict=True)]
+    for i, (name, unit) in enumerate(zip(task.q.names, task.q.units, strict=True), 1):
+        own = _plain(name)
+        called = [f"q_{own}", f"q{i}", f"q_{i}", *([own] if own not in task.x.names else [])]
+        places.append((f"q_{name}", unit, called))
+    found, missing = [], []
+    for wanted, unit, called in places:
+        at = [i for i, (name, _) in enumerate(names) if name in called]
+        if len(at) > 1:
+            both = " and ".join(table.names[i] for i in at)
+            raise IksamplesError(f"{table.path}: the columns {both} mean the same; keep one.")
+        if not at:
+            missing.append(f"{wanted}_{unit}")
+            continue
+        said = names[at[0]][1] or None
+        if said and said not in UNITS[unit]:
+            raise IksamplesError(
+                f"{table.path}: {table.names[at[0]]}: {said} is no unit of {wanted}; "
+                f"it is measured in {', '.join(UNITS[unit])}."
+            )
+        found.append(_Column(f"{wanted}_{unit}", unit, at[0], said))
     if missing:
         raise IksamplesError(
-            f"{path}: no column {', '.join(missing)}; there are {', '.join(table.columns)}. "
-            "Positions are in mm and joint angles in rad, as the names say."
+            f"{table.path}: no column {', '.join(missing)}; there are "
+            f"{', '.join(table.names)[:200]}. Other units go into the names, such as x_m or q1_deg."
         )
-    numbers = table[wanted].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-    bad = np.argwhere(~np.isfinite(numbers))
-    if len(bad):
-        raise IksamplesError(_not_a_number(path, table, wanted, bad))
-    return numbers[:, : len(task.x)], numbers[:, len(task.x) :]
+    return found, table
 
 
-def _not_a_number(
-    path: str | Path, table: "pd.DataFrame", wanted: list[str], bad: np.ndarray
-) -> str:
-    row, column = (int(i) for i in bad[0])
-    value = table[wanted[column]].iloc[row]
-    found = f"'{value}'" if isinstance(value, str) else "nothing"
-    more = f" ({len(bad)} such cells in all)" if len(bad) > 1 else ""
-    return (
-        f"{path}: sample {row + 1} has {found} as {wanted[column]}, which is no number{more}. "
-        "Correct or remove the row."
+def _name_and_unit(name: str) -> tuple[str, str]:
+    """A name in lower case, and the unit in it, if any: ``x_mm``, ``x [mm]``, ``x (mm)``."""
+    match = re.fullmatch(
+        r"(.*?)[\s_/]*[\[(]\s*(\S+)\s*[\])]|(.*)[\s_/](\S+?)", name.strip().lower()
+    )
+    if match:
+        base, unit = match[1] or match[3] or "", match[2] or match[4]
+        if base and any(unit in units for units in UNITS.values()):
+            return _plain(base), unit
+    return _plain(name), ""
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_-]+", "_", name.strip().lower())
+
+
+def _factors(table: Table, task: Task, columns: list[_Column], values: Floats) -> Floats:
+    """What each column is multiplied by: as its name says, else as the arm's model says.
+
+    Raises:
+        IksamplesError: The samples are not this arm's in the units that are said, or in any.
+    """
+
+    def factors(mm: str, rad: str, only_unsaid: bool) -> Floats:
+        tried = {"mm": mm, "rad": rad}
+        said = [column.said if only_unsaid else None for column in columns]
+        return np.array(
+            [UNITS[c.unit][one or tried[c.unit]] for c, one in zip(columns, said, strict=True)]
+        )
+
+    tries = list(product(("mm", "cm", "m"), ("rad", "deg")))
+    misses = {one: _miss(task, values * factors(*one, True)) for one in tries}
+    best = min(misses, key=misses.__getitem__)
+    unsaid = sorted({column.unit for column in columns if column.said is None})
+    if misses[best] <= _NO_FIT:
+        if unsaid:
+            taken = " and ".join(best[0] if unit == "mm" else best[1] for unit in unsaid)
+            print(
+                f"{table.path}: no unit is said for {_listed(columns, unsaid)}; taken as {taken}, "
+                "in which the arm's model fits.",
+                file=sys.stderr,
+            )
+        return factors(*best, True)
+    others = {one: _miss(task, values * factors(*one, False)) for one in tries}
+    right = min(others, key=others.__getitem__)
+    hint = (
+        f"In {right[0]} and {right[1]} they would: say so in the names, such as x_{right[0]} and "
+        f"q_{task.q.names[0]}_{right[1]}."
+        if others[right] <= _FIT
+        else "Is it another arm, base, tool or zero of a joint, or a column in another's place?"
+    )
+    raise IksamplesError(
+        f"{table.path}: the joint values do not reach the positions: by the arm's model, half of "
+        f"the rows miss by {misses[best] * 100:.0f} % of the samples' spread or more. {hint}"
     )
 
 
-def _doubts(task: Task, positions: Floats, joints: Floats) -> list[str]:
+def _miss(task: Task, values: Floats) -> float:
+    """Median distance from where the model puts the tool, as a share of the samples' spread."""
+    inputs, joints = values[:, : len(task.x)], values[:, len(task.x) :]
+    lengths = inputs[:, [unit == "mm" for unit in task.x.units]]
+    spread = np.sqrt(np.mean(np.sum((lengths - lengths.mean(axis=0)) ** 2, axis=1)))
+    missed = task.target.position_error_mm(task.arm, joints, inputs)
+    return float(np.median(missed) / spread)
+
+
+def _listed(columns: list[_Column], units: list[str]) -> str:
+    return ", ".join(
+        c.wanted.rsplit("_", 1)[0] for c in columns if c.said is None and c.unit in units
+    )
+
+
+def _doubts(task: Task, table: Table, inputs: Floats, joints: Floats) -> list[str]:
     """What is odd about the samples, a line each."""
-    chain = task.arm
-    missed = task.target.position_error_mm(chain, joints, positions)
-    expected = task.reach(positions)
+    chain, n = task.arm, len(inputs)
+
+    def rows(which: NDArray[np.intp]) -> str:
+        some = ", ".join(table.place(int(row)) for row in which[:_NAMED_ROWS])
+        return some + (f" and {len(which) - _NAMED_ROWS} more" if len(which) > _NAMED_ROWS else "")
+
+    missed = task.target.position_error_mm(chain, joints, inputs)
+    expected = task.reach(inputs)
     revolute = np.array([kind == "revolute" for kind in chain.joint_kinds])
     turn = np.abs(np.angle(np.exp(1j * (joints - expected.joints)[:, revolute])))
     other = (missed <= _MISSED_MM) & expected.in_reach & np.any(turn > _OTHER_BRANCH_RAD, axis=1)
+    middle = np.where(np.isfinite(chain.lower + chain.upper), (chain.lower + chain.upper) / 2, 0)
+    turned = joints - np.where(revolute, 2 * np.pi * np.round((joints - middle) / (2 * np.pi)), 0)
     outside = ~chain.within_limits(joints)
+    a_turn_off = outside & chain.within_limits(turned)
+    _, first, which = np.unique(inputs, axis=0, return_index=True, return_inverse=True)
+    earlier = first[which.reshape(-1)]
+    again = np.flatnonzero(earlier != np.arange(n))
     lines = []
-    if np.any(missed > _MISSED_MM):
-        worst = int(np.argmax(missed))
+    far = np.flatnonzero(missed > _MISSED_MM)
+    if len(far):
+        far = far[np.argsort(-missed[far], kind="stable")]
         lines.append(
-            f"{np.sum(missed > _MISSED_MM)} of {len(positions)} samples are more than "
-            f"{_MISSED_MM:g} mm from where the model of the arm puts them "
-            f"(sample {worst + 1}: {missed[worst]:.1f} mm); kept as they are."
-            + (" Are they in mm and rad?" if np.mean(missed > _MISSED_MM) > 0.5 else "")
+            f"{len(far)} of {n} samples are more than {_MISSED_MM:g} mm from where the model of "
+            f"the arm puts them, {missed[far[0]]:.1f} mm at most; kept as they are, the farthest "
+            f"first: {rows(far)}."
         )
     if np.any(other):
         lines.append(
-            f"{np.sum(other)} of {len(positions)} samples reach their position on another branch "
-            f"than the study's (sample {np.argmax(other) + 1}); a network that learns both "
-            "branches answers with something between them."
+            f"{np.sum(other)} of {n} samples reach their position on another branch than the "
+            "study's; a network that learns both branches answers with something between them "
+            f"({rows(np.flatnonzero(other))})."
         )
-    if np.any(outside):
+    if np.any(a_turn_off):
         lines.append(
-            f"{np.sum(outside)} of {len(positions)} samples are outside the joint limits "
-            f"(sample {np.argmax(outside) + 1})."
+            f"{np.sum(a_turn_off)} of {n} samples have a joint full turns beside its limits; a "
+            f"network takes that for another place ({rows(np.flatnonzero(a_turn_off))})."
+        )
+    if np.any(outside & ~a_turn_off):
+        lines.append(
+            f"{np.sum(outside & ~a_turn_off)} of {n} samples are outside the joint limits "
+            f"({rows(np.flatnonzero(outside & ~a_turn_off))})."
+        )
+    if len(again):
+        lines.append(
+            f"{len(again)} of {n} samples repeat the position of an earlier one "
+            f"({table.place(int(again[0]))} that of {table.place(int(earlier[again[0]]))})."
         )
     return lines
