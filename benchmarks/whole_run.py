@@ -2,8 +2,10 @@
 
     python benchmarks/whole_run.py           # about 4 minutes; writes docs/whole-run.md
 
-In a clone with nothing compiled the study runs twice: first as for a new user, then with its
-results removed, so that only the compiled training loop is there already. Time and processor of
+In a clone with nothing compiled the study runs three times: first as for a new user, then with its
+results removed, so that only the compiled training loop is there already, then with nothing to be
+done. Machines differ twofold, so the last two are also said as multiples of what importing the
+libraries takes on the same machine. Time and processor of
 jobs are Snakemake's (``benchmark:`` files); what imports take is Python's own account of a third
 run (``PYTHONPROFILEIMPORTTIME``).
 """
@@ -34,12 +36,16 @@ WHAT = {
     "bounds": "the paper's bounds",
     "prove": "worst case and mean of every network, proved and checked",
     "map": "error map, and the worst case along the training",
-    "table": "the table",
+    "collect": "joining errors and proofs in one table",
+    "table": "the paper's table and claims",
     "answer": "the answer",
     "track": "logging to MLflow",
     "record": "recordings for Rerun",
     "report": "drawing and writing the report",
 }
+
+LIBRARIES = "import pytorch_lightning, mlflow, rerun, pandas, matplotlib.pyplot"
+"""What a run cannot do without: the measure of a machine."""
 
 
 def main() -> None:
@@ -52,9 +58,12 @@ def main() -> None:
         subprocess.run(["git", "clone", "--quiet", ROOT, clone], check=True)
         cold, cold_jobs = _run(clone)
         warm, warm_jobs = _run(clone)
+        snakemake = [Path(sys.executable).with_name("snakemake"), "--cores", "2"]
+        idle_s = min(_seconds(clone, snakemake) for _ in range(3))
+        libraries_s = min(_seconds(clone, [sys.executable, "-c", LIBRARIES]) for _ in range(3))
         _, _ = _run(clone, PYTHONPROFILEIMPORTTIME="1")
         imports = _imports(clone)
-    page = _page(cold, cold_jobs, warm, warm_jobs, imports)
+    page = _page(cold, cold_jobs, warm, warm_jobs, imports, idle_s, libraries_s)
     (options.out / "whole-run.md").write_text(page, encoding="utf-8")
     print(f"written: {options.out / 'whole-run.md'}")
 
@@ -64,24 +73,20 @@ def _run(clone: Path, **more: str) -> tuple[dict[str, float], pd.DataFrame]:
     for name in ("results", "reports", ".snakemake", "mlflow.db", "mlartifacts"):
         path = clone / name
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    tools = Path(sys.executable).parent
-    environment = os.environ | {
-        "PYTHONPATH": str(clone / "src"),
-        "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}",
-        **more,
-    }
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(
-        [tools / "snakemake", "--cores", "2"],
-        cwd=clone,
-        env=environment,
-        check=True,
-        stderr=subprocess.DEVNULL,
-    )
-    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    wall = _seconds(clone, [Path(sys.executable).with_name("snakemake"), "--cores", "2"], **more)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = sum(getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime"))
     jobs = read_benchmarks(clone / "results/paper/benchmarks")
     return {"wall_s": wall, "cpu_s": spent}, jobs
+
+
+def _seconds(clone: Path, command: list[str | Path], **more: str) -> float:
+    """Wall clock of a command in the clone [s]."""
+    environment = os.environ | {"PYTHONPATH": str(clone / "src"), **more}
+    began = time.perf_counter()
+    subprocess.run(command, cwd=clone, env=environment, check=True, stderr=subprocess.DEVNULL)
+    return time.perf_counter() - began
 
 
 def _imports(clone: Path) -> dict[str, float]:
@@ -120,6 +125,8 @@ def _page(
     warm: dict[str, float],
     warm_jobs: pd.DataFrame,
     imports: dict[str, float],
+    idle_s: float,
+    libraries_s: float,
 ) -> str:
     spent = warm_jobs.groupby("step")["cpu_s"].sum()
     rows = {
@@ -143,7 +150,9 @@ def _page(
         f"* From a clone with nothing compiled to the finished report: **{cold['wall_s']:.0f} s**, "
         f"{cold['cpu_s']:.0f} s of processor.",
         f"* The same again with its results removed: {warm['wall_s']:.0f} s, "
-        f"{warm['cpu_s']:.0f} s of processor.",
+        f"{warm['cpu_s']:.0f} s of processor; {warm['wall_s'] / libraries_s:.1f} times what "
+        f"`{LIBRARIES}` takes ({libraries_s:.1f} s).",
+        f"* With nothing to be done: {idle_s:.1f} s; {idle_s / libraries_s:.2f} times that.",
         "",
         "| what | processor [s] | share [%] |",
         "|---|---:|---:|",

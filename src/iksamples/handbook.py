@@ -28,7 +28,33 @@ snakemake --cores 2 --configfile wider.yaml
 
 It lands in `results/wider` and `reports/wider`; two studies never touch each other's files. A
 mistake in the file is answered with the key and what is allowed there before any job starts, and
-`iksamples check wider.yaml` says the same without running anything.
+`iksamples check wider.yaml` says the same without running anything (and in which line a file is no
+YAML, which Snakemake, reading it first, does not). Only `true` and `false` are booleans and only
+decimal numbers are numbers: `no`, `010` and `1:30` are text.
+
+Of several files each is laid over those before it, and so is what `--config` says, section by
+section (Snakemake takes no dotted keys):
+
+```
+snakemake --cores 2 --configfile wider.yaml --config training='{seeds: 40}'
+```
+
+A folder of your own uses the workflow as a module, with a `config/` beside its Snakefile; Snakemake
+then reads the study, less strictly, and paths are relative to that folder:
+
+```python
+configfile: "config/config.yaml"
+
+module iksamples:
+    snakefile: "/path/to/iksamples/workflow/Snakefile"
+    config: config
+
+use rule * from iksamples
+```
+
+Beside every file of results lies its SHA-256 (`.table.csv.sha256`). A result that was changed or
+damaged is not read; it is put out of the way as `table.csv.damaged`, and the same command makes it
+again.
 
 This page and `schema.json` (for editors that complete YAML) are generated: `iksamples handbook`.
 """
