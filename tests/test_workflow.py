@@ -118,6 +118,18 @@ def test_another_folder_uses_it_as_a_module(tmp_path):
     assert {"train", "report"} <= planned(tmp_path)
     snakemake(tmp_path, "results/tiny/samples/grid2.parquet", "--cores", "1")
     assert (tmp_path / "results/tiny/samples/grid2.parquet").exists()
+    # Read as strictly as ever, and a part of a larger configuration as Snakemake gives it.
+    study = (ROOT / TINY).read_text()
+    (tmp_path / "config/config.yaml").write_text(f"{study}name: twice\n")
+    done = snakemake(tmp_path, "-n", check=False)
+    assert "'name' stands twice" in done.stderr
+    (tmp_path / "config/config.yaml").write_text("arm: {name: part, training: {seeds: 4}}\n")
+    snakefile = tmp_path / "Snakefile"
+    snakefile.write_text(
+        snakefile.read_text().replace("config: config\n", 'config: config["arm"]\n')
+    )
+    assert "train" in planned(tmp_path)
+    assert '"seeds": 4' in (tmp_path / "results/part/study.json").read_text()
 
 
 @pytest.fixture(scope="module")

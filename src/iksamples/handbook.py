@@ -39,8 +39,8 @@ section (Snakemake takes no dotted keys):
 snakemake --cores 2 --configfile wider.yaml --config training='{seeds: 40}'
 ```
 
-A folder of your own uses the workflow as a module, with a `config/` beside its Snakefile; Snakemake
-then reads the study, less strictly, and paths are relative to that folder:
+A folder of your own uses the workflow as a module, with a `config/` beside its Snakefile; paths are
+relative to that folder:
 
 ```python
 configfile: "config/config.yaml"

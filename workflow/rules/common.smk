@@ -40,7 +40,10 @@ def study_changes():
 
 def the_study():
     """The study, read as `iksamples check` does: Snakemake itself reads YAML more laxly."""
-    if workflow.modifier.skip_configfile:  # a module, whose caller gives the settings
+    given = (
+        workflow.modifier.skip_configfile
+    )  # to a module, by the workflow that uses it
+    if given and config is not workflow.modifier_stack[0].globals["config"]:
         return parse_study(dict(config), "the module's config")
     return read_study(*study_files(), changes=study_changes())
 
