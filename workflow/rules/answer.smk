@@ -41,7 +41,7 @@ rule collect:
     params:
         study="results/{study}/study.json",
         code=source_digest("iksamples.answer.collect"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples collect {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
@@ -72,7 +72,7 @@ rule table:
             "robot", "task", "workspace", "samples", "evaluation", "bounds"
         ),
         code=source_digest("iksamples.paper.table", "iksamples.paper.gather"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
@@ -94,7 +94,7 @@ rule answer:
             "samples", "tolerance", "evaluation", "methods", "training", "network"
         ),
         code=source_digest("iksamples.answer.assess"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
 
@@ -128,7 +128,7 @@ rule replicate:
             "iksamples.evaluation.step",
             "iksamples.certify.step",
         ),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples replicate {params.study:q} --results {params.results:q} --output {output:q}'
         " 2> >(tee {log:q} >&2)"

@@ -29,9 +29,9 @@ rule bounds:
         arm=ARM,
         settings=settings("robot", "task", "workspace", "evaluation", "bounds"),
         code=source_digest("iksamples.paper.audit"),
-        folder="results/{study}/network",
+        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.folder:q} 2> >(tee {log:q} >&2)'
+        '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.results:q}/network 2> >(tee {log:q} >&2)'
 
 
 rule prove:
@@ -52,10 +52,10 @@ rule prove:
         tightness=settings(bounds={"sup_rtol", "mean_rtol", "mean_atol_mm"}),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
-        folder="results/{study}/{method}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
-        " --folder {params.folder:q} --output {output:q} 2> >(tee {log:q} >&2)"
+        " --folder {params.results:q}/{wildcards.method} --output {output:q} 2> >(tee {log:q} >&2)"
 
 
 rule map:
@@ -84,6 +84,6 @@ rule map:
         arm=ARM,
         settings=settings("robot", "task", "workspace", "evaluation", "tolerance"),
         code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'

@@ -18,7 +18,7 @@ from iksamples.study.text import typed
 
 # What the rules run, so that no environment needs to be active. Among the params, Snakemake would
 # take another place of the same Python for another way to do things.
-os.environ["IKSAMPLES_PYTHON"] = sys.executable
+os.environ.update(IKSAMPLES_PYTHON=sys.executable)
 
 
 def stop(message):
@@ -88,6 +88,11 @@ def settings(*sections, **parts):
     return as_text
 
 
+def results_folder(wildcards):
+    """The study's folder of results."""
+    return f"results/{wildcards.study}"
+
+
 def weights(wildcards):
     """What a method is asked with: a network's weights; the samples alone for any other."""
     if wildcards.method not in networks(STUDY):
@@ -144,7 +149,7 @@ except OSError as error:
 
 if STUDY.tracking.uri:
     # What is kept of the study lacks its password, so the job that tracks it is told here.
-    os.environ["MLFLOW_TRACKING_URI"] = STUDY.tracking.uri
+    os.environ.update(MLFLOW_TRACKING_URI=STUDY.tracking.uri)
 
 LABELS = list(sample_sets(STUDY))
 FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))

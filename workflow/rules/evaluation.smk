@@ -34,7 +34,7 @@ rule evaluate:
         arm=ARM,
         settings=settings("robot", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.evaluation.step"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.network}'
         " --results {params.results:q} 2> >(tee {log:q} >&2)"
@@ -67,7 +67,7 @@ if UNTRAINED:
             kinds=UNTRAINED,
             code=source_digest("iksamples.evaluation.step"),
             methods=[f"--method={name}" for name in UNTRAINED],
-            results="results/{study}",
+            results=results_folder,
         shell:
             '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} {params.methods}'
             " --results {params.results:q} 2> >(tee {log:q} >&2)"

@@ -33,7 +33,7 @@ rule record:
             "title", "robot", "task", "workspace", "evaluation", "training"
         ),
         code=source_digest("iksamples.recording.record"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}'
         " --output {output:q} 2> >(tee {log:q} >&2)"

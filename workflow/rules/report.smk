@@ -38,7 +38,7 @@ rule report:
         arm=ARM,
         settings=settings(),
         code=source_digest("iksamples.report.write", "iksamples.report.front"),
-        results="results/{study}",
+        results=results_folder,
         folder=subpath(output.html, parent=True),
         command=typed_command,
     shell:

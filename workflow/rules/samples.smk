@@ -27,6 +27,6 @@ rule samples:
             "iksamples.samples.record",
             *(["iksamples.answer.adaptive"] if ADAPTIVE else []),
         ),
-        folder="results/{study}/samples",
+        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples samples {params.study:q} --output {params.folder:q} 2> >(tee {log:q} >&2)'
+        '"$IKSAMPLES_PYTHON" -P -m iksamples samples {params.study:q} --output {params.results:q}/samples 2> >(tee {log:q} >&2)'

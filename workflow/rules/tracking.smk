@@ -28,6 +28,6 @@ rule track:
         study="results/{study}/study.json",
         settings=settings(),
         code=source_digest("iksamples.tracking.track"),
-        results="results/{study}",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> >(tee {log:q} >&2)'

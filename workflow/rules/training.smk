@@ -35,8 +35,7 @@ rule train:
         study="results/{study}/study.json",
         settings=settings("network", "training", "methods"),
         code=source_digest("iksamples.training.step"),
-        folder="results/{study}",
-        cache="results/{study}/cache",
+        results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples train {params.study:q} {input.samples:q}'
-        " --output {params.folder:q} --cache {params.cache:q}"
+        " --output {params.results:q} --cache {params.results:q}/cache"
