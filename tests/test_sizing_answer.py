@@ -159,13 +159,14 @@ def falling(floor, rng, ms=range(2, 9), seeds=20, spread=0.02, scale=30):
 
 
 def test_beyond_the_sizes_tried_the_curve_is_used_and_says_so(rng):
-    one = answer(make_study({"error_mm": 0.5}), make_rows(falling(0, rng)))
+    errors = {m: 30 / m**2 * np.exp(0.01 * rng.normal(size=20)) for m in range(2, 9)}
+    one = answer(make_study({"error_mm": 0.4}), make_rows(errors))
     network = one.variant("network")
     assert network.status == "extrapolated"
-    # 30 / (m - 1)^2 is 0.5 at m = 8.7; the scatter of four trainings in five adds a little.
-    assert network.n_samples in [m**3 for m in range(9, 13)]
+    # 30 / m^2 is 0.4 at m = 8.66; the scatter of four trainings in five adds a little.
+    assert network.n_samples in (9**3, 10**3)
     needed = network.extrapolation.needed
-    assert needed.low <= 8.75**3 <= needed.high <= network.n_samples
+    assert needed.low <= 8.7**3 <= needed.high <= network.n_samples
     assert f"needs more than 512 (extrapolated: {network.n_samples}" in one.headline.replace(
         "\u202f", ""
     )
@@ -190,7 +191,7 @@ def test_samples_needed_is_the_answer_for_every_tolerance(rng):
     study = make_study({"error_mm": 1.0}, methods=METHODS)
     table = {m: [25 / (m - 1) ** 2] for m in range(2, 9)}
     rows = pd.concat([make_rows(falling(0, rng)), make_rows(table, "table")])
-    tolerances = np.array([0.3, 0.45, 0.6, 0.63, 1.0, 4.0, 50.0])
+    tolerances = np.array([0.3, 0.48, 0.6, 0.63, 1.0, 4.0, 50.0])
     needed = samples_needed(study, rows, tolerances)
     assert list(needed.columns) == [
         "method", "design", "tolerance_mm", "n_samples", "status", "certified",
@@ -207,7 +208,7 @@ def test_samples_needed_is_the_answer_for_every_tolerance(rng):
     # The table's own law, on the sizes tried and beyond.
     by_table = needed[needed["method"] == "table"].set_index("tolerance_mm")["n_samples"]
     assert by_table[0.6] == 8**3
-    assert by_table[0.45] >= 9**3  # 25 / (m - 1)^2 = 0.45 at m = 8.45
+    assert by_table[0.48] in (9**3, 10**3)  # 25 / (m - 1)^2 = 0.48 at m = 8.2
     default = samples_needed(study, rows)
     assert default["tolerance_mm"].nunique() == 60
     assert default.groupby("method")["tolerance_mm"].max().nunique() == 1

@@ -7,10 +7,10 @@ given only where
 * the samples lie on a grid, since the worst error between scattered samples falls in leaps;
 * the curve is not of a network that is trained until it no longer improves: what such a network
   leaves is set by its neurons, and that floor does not show in the curve before it is reached;
-* the curve falls over the last sizes, each time;
+* the curve falls over the last sizes, each time, and as steeply at the end as before;
 * several laws, fitted to all sizes or to the last ones, with a floor and without, foretell the last
   sizes from those before them;
-* they agree on the number within a factor, and not far beyond the sizes tried.
+* none of them asks for many times the most samples tried.
 
 Otherwise the answer is the size to record next. docs/confidence.md says how often what is printed
 holds, on studies and on made-up curves.
@@ -35,10 +35,8 @@ STREAM = 20260523
 """Seed of the resampling: the same results have the same answer, and all variants the same."""
 FEWEST_SIZES = 5
 """So many sizes make a curve that can be fitted and tested."""
-MOST = 4.0
+MOST = 2.0
 """Extrapolates to at most so many times the most samples tried."""
-SPREAD = 4.0
-"""The laws agree where the most samples any of them asks for are so many times the fewest."""
 MARGIN = 1.25
 """By which factor the number may lie outside what the laws say."""
 _HELD_OUT = 2
@@ -47,6 +45,8 @@ _MISS = 0.15
 """By which share an error held out may lie outside what the laws foretell."""
 _FLAT = 0.2
 """A curve whose last exponent is smaller has levelled off."""
+_SLOWING = 0.9
+"""A curve whose last exponent is less than so much of the one before is levelling off."""
 _LAST = 4
 _GROWTH = 1.5
 _RESAMPLES = 400
@@ -150,8 +150,11 @@ def untrusted(n_samples: Floats, curves: Floats) -> str:
         return "trainings diverged, or have no error at all"
     if (np.diff(curve[-_LAST:]) >= 0).any():
         return "its learning curve does not fall from each size to the next"
-    if np.log(curve[-2] / curve[-1]) < _FLAT * np.log(n_samples[-1] / n_samples[-2]):
+    exponents = -np.diff(np.log(curve)) / np.diff(np.log(n_samples))
+    if exponents[-1] < _FLAT:
         return "its learning curve has levelled off"
+    if exponents[-1] < _SLOWING * exponents[-2]:
+        return "its learning curve is levelling off"
     for fewer in range(max(len(n_samples) - _HELD_OUT, _LAST), len(n_samples)):
         fits = _fits(n_samples[:fewer], curves[:, :fewer])
         for n, error in zip(n_samples[fewer:], curve[fewer:], strict=True):
@@ -182,8 +185,6 @@ def needed_samples(known: Forecast, tolerance_mm: float) -> Interval | str:
         return "its learning curve is at the tolerance already, about which the trainings scatter"
     if high > MOST * known.largest:
         return f"it may take more than {MOST:g} times the most tried, too far to say"
-    if high > SPREAD * low:
-        return "laws that fit its learning curve alike ask for very different numbers"
     middle = float(np.median([one[0] for one in needed]))
     return Interval(float(np.clip(middle, low, high)), low, high)
 

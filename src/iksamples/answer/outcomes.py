@@ -1,6 +1,5 @@
 """What each training came to, in the one error that the study's tolerance is about."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
 from iksamples.files import checked
-from iksamples.results import Cell, cells
+from iksamples.results import Cell
 from iksamples.study import Study, Tolerance
 
 
@@ -26,13 +25,6 @@ COLUMNS = (
     "attained_mm",
 )
 """Columns of the outcomes; ``outcomes`` says what they hold."""
-
-
-def all_cells(study: Study, results: str | Path) -> Iterator[Cell]:
-    """Every method of a study on every set of samples."""
-    for method in study.all_methods:
-        for design in study.samples.designs:
-            yield from cells(study, results, method, design)
 
 
 def certificates(results: str | Path) -> "pd.DataFrame | None":
