@@ -36,6 +36,10 @@ STUDY = parse_study(
 )
 
 
+STEEPER = np.append(0, np.array([0.3, 0.38, 0.48, 0.6, 0.75, 0.9]) * np.diff(np.log(N)))
+"""Falls of the logarithm of an error, evenly steeper from size to size."""
+
+
 def scattered(curve, rng, seeds=20, spread=0.1):
     return curve * np.exp(spread * rng.normal(size=(seeds, len(curve))))
 
@@ -135,7 +139,8 @@ class TestBelief:
             (3 + 0 * N, "does not fall"),
             (np.array([9, 5, 3, 2, 1.5, 1.1, 1.3]), "does not fall"),
             (np.array([9, 5, 3, 2, 1.5, 1.4, 1.39]), "levelled off"),
-            (np.array([9, 8, 7, 6.2, 5.5, 5, 2]), "is wrong at 512 samples"),
+            (np.array([9, 8, 7, 6.2, 5.5, 5, 2]), "falls unevenly"),
+            (9 * np.exp(-np.cumsum(STEEPER)), "its learning curve is wrong at"),
             (np.array([9, 5, 3, 2, 1.5, 1.1, np.inf]), "diverged"),
             (0 * N, "no error at all"),
         ],

@@ -37,7 +37,7 @@ FEWEST_SIZES = 5
 """So many sizes make a curve that can be fitted and tested."""
 MOST = 2.0
 """Extrapolates to at most so many times the most samples tried."""
-MARGIN = 1.25
+MARGIN = 1.4
 """By which factor the number may lie outside what the laws say."""
 _HELD_OUT = 2
 """So many of the largest sizes are foretold from the smaller ones."""
@@ -47,6 +47,8 @@ _FLAT = 0.2
 """A curve whose last exponent is smaller has levelled off."""
 _SLOWING = 0.9
 """A curve whose last exponent is less than so much of the one before is levelling off."""
+_UNEVEN = 1.3
+"""Exponents of neighbouring sizes that differ by a larger factor make an uneven curve."""
 _LAST = 4
 _GROWTH = 1.5
 _RESAMPLES = 400
@@ -153,8 +155,11 @@ def untrusted(n_samples: Floats, curves: Floats) -> str:
     exponents = -np.diff(np.log(curve)) / np.diff(np.log(n_samples))
     if exponents[-1] < _FLAT:
         return "its learning curve has levelled off"
-    if exponents[-1] < _SLOWING * exponents[-2]:
+    change = exponents[-2:] / exponents[-3:-1]
+    if change[-1] < _SLOWING:
         return "its learning curve is levelling off"
+    if not (change.min() > 1 / _UNEVEN and change.max() < _UNEVEN):
+        return "its learning curve falls unevenly"
     for fewer in range(max(len(n_samples) - _HELD_OUT, _LAST), len(n_samples)):
         fits = _fits(n_samples[:fewer], curves[:, :fewer])
         for n, error in zip(n_samples[fewer:], curve[fewer:], strict=True):
