@@ -2,7 +2,7 @@
 Tracking: one job writes all runs to MLflow, since parallel writers race on a new SQLite file.
 
 REQUIRED INPUTS
-    results/<study>/table.csv, certificates.csv, <method>/<samples>/errors.parquet
+    results/<study>/table.csv, answer.json, certificates.csv, <method>/<samples>/errors.parquet
     everything in results/<study>/network/
 OUTPUTS
     results/<study>/tracking.json (what was logged), and the runs themselves
@@ -13,6 +13,7 @@ rule track:
     """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
     input:
         table="results/{study}/table.csv",
+        answer="results/{study}/answer.json",
         errors=expand(
             "results/{{study}}/{method}/{samples}/errors.parquet",
             method=STUDY.all_methods,

@@ -1,5 +1,6 @@
 """`iksamples certify`: the largest error of anybody's network on anybody's arm, proved."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -122,22 +123,16 @@ def certify(
 
     Exits with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
     """
-    import numpy as np
-
     from iksamples.arm.load import load_arm
-    from iksamples.certify.checker import Claim, verify
-    from iksamples.certify.jets import Linkage
-    from iksamples.certify.layers import Layers
     from iksamples.certify.printing import point, rounded_down, rounded_up
     from iksamples.certify.readers.network import load_network
+    from iksamples.certify.readers.proved import prove
     from iksamples.certify.readers.units import fed_as, read_as
-    from iksamples.certify.rounding import inference_slack_mm, search_slack_mm
-    from iksamples.certify.search import certify_stack
 
     region = _box(box)
     chain = load_arm(robot, base_link, tip_link)
     fed = fed_as(
-        region.n_inputs,
+        [*["mm"] * 3, *["-"] * 3][: region.n_inputs],
         input_unit,
         _numbers("--offset-mm", offset_mm),
         _numbers("--scale-mm", scale_mm),
@@ -156,48 +151,31 @@ def certify(
             _numbers("--output-scale", output_scale),
         ),
     )
-    network = reading.network
+    seeds = reading.network.seeds
     typer.echo(f"Read {weights}: {reading.order}.")
-    slack_mm = np.zeros(network.n_seeds)
-    if not reading.exact:  # half a unit in the last place of each number, which this allows for
-        slack_mm = search_slack_mm(Layers.of(network), Linkage.of(chain), region)
-    with _shown(f"searching, for at most {time_limit * network.n_seeds:g} s"):
-        proofs = certify_stack(
-            network,
-            chain,
-            region,
-            rtol=rtol,
-            time_limit_s=time_limit,
-            max_boxes=max_boxes,
-            keep_leaves=True,
+    with _shown(f"proving; the search takes at most {time_limit * len(seeds):g} s"):
+        proved = prove(
+            reading, chain, region, rtol=rtol, time_limit_s=time_limit, max_boxes=max_boxes
         )
-    proved = True
-    for row, proof in enumerate(proofs):
-        claim = Claim(network, row, chain, region, proof.upper, proof.lower, proof.argmax)
-        with _shown("checking the proof"):
-            check = verify(claim, proof.leaves)
-        # What the checker itself has proved holds, also where the search stated less or more.
-        upper_mm, lower_mm = check.upper + slack_mm[row], check.lower - slack_mm[row]
-        if not np.isfinite(upper_mm):
-            proved = False
-            typer.echo(f"seed {network.seeds[row]}: NOT PROVED, so there is no bound.", err=True)
+    for seed, one in zip(seeds, proved, strict=True):
+        if one.upper_mm == math.inf:
+            typer.echo(f"seed {seed}: NOT PROVED, so there is no bound.", err=True)
             continue
         typer.echo(
-            f"seed {network.seeds[row]}: no position of the box is missed by more than "
-            f"{rounded_up(upper_mm)} mm; at {point(proof.argmax)} mm it is missed by "
-            f"{rounded_down(max(lower_mm, 0.0))} mm (checked, {proof.boxes} boxes"
-            f"{'' if proof.complete else '; stopped early, so the bound may be far above'})"
+            f"seed {seed}: no position of the box is missed by more than "
+            f"{rounded_up(one.upper_mm)} mm; at {point(one.argmax)} mm it is missed by "
+            f"{rounded_down(one.lower_mm)} mm (checked, {one.boxes} boxes"
+            f"{'' if one.complete else '; stopped early, so the bound may be far above'})"
         )
-    if not proved:
+    if any(one.upper_mm == math.inf for one in proved):
         raise typer.Exit(1)
     if fed is None:
         typer.echo("Positions go into the network as they are, in mm (no option says otherwise).")
-    allowance = rounded_up(float(inference_slack_mm(network, chain, region).max()))
     folded = " (as folded here; the file's own operations round more often)"
     typer.echo(
         "Proved for the stored weights read as exact real numbers, in real arithmetic, over the "
         "closed box; evaluating these layers in float32 adds at most "
-        f"{allowance} mm{folded if reading.folded else ''}."
+        f"{rounded_up(max(one.float32_mm for one in proved))} mm{folded if reading.folded else ''}."
     )
 
 

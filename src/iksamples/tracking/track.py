@@ -7,11 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
+from iksamples.answer.answer import FILE as ANSWER
 from iksamples.errors import IksamplesError
+from iksamples.export.logged import log_network
 from iksamples.results import Cell
 from iksamples.study import Study
 from iksamples.study.section import without_password
-from iksamples.tracking.content import study_runs
+from iksamples.tracking.content import STUDY_KEY, study_runs
 from iksamples.tracking.store import (
     Outcome,
     connect,
@@ -66,6 +68,9 @@ def track(
         for name in about.keys() - where.tags.keys():  # what people wrote there stays
             client.set_experiment_tag(where.experiment_id, name, about[name])
         outcome = upsert(client, where, contents, source_tags(study))
+        results = Path(table_path).parent
+        if (results / ANSWER).exists():
+            log_network(client, outcome.run_ids[STUDY_KEY], results)
     manifest = {
         "tracking_uri": without_password(uri),
         "experiment": where.name,

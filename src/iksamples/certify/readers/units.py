@@ -24,12 +24,12 @@ _FACTORS = {
 
 
 def fed_as(
-    n_inputs: int, unit: str | None, offset_mm: Floats | None, scale_mm: Floats | None
+    kinds: Sequence[str], unit: str | None, offset_mm: Floats | None, scale_mm: Floats | None
 ) -> Scaling | None:
     """What is done to a position [mm] before the network gets it; None if nothing is.
 
     Args:
-        n_inputs: Coordinates of the box; the first three at most are lengths.
+        kinds: Unit of each coordinate of the box: ``mm`` if it is a length.
         unit: ``mm`` or ``m``: what the network takes; mm if None.
         offset_mm: What is subtracted first [mm], shape (in,); zero if None.
         scale_mm: What it is divided by then [mm], shape (in,).
@@ -46,10 +46,11 @@ def fed_as(
         )
     if unit in (None, "mm") and offset_mm is None and scale_mm is None:
         return None
+    n_inputs = len(kinds)
     offset = np.zeros(n_inputs) if offset_mm is None else offset_mm
     scale = np.ones(n_inputs) if scale_mm is None else scale_mm
     if unit == "m":
-        scale[: min(n_inputs, 3)] = 1000.0
+        scale = np.array([1000.0 if kind == "mm" else 1.0 for kind in kinds])
     _require_count("--offset-mm", offset, n_inputs, "coordinate of the box")
     _require_count("--scale-mm", scale, n_inputs, "coordinate of the box")
     if not np.all(scale):

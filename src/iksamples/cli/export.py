@@ -1,0 +1,48 @@
+"""`iksamples export`: a network of a finished study to take away."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from iksamples.cli.common import Results, app
+
+
+@app.command()
+def export(
+    results: Results,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the files.", file_okay=False)
+    ],
+    method: Annotated[
+        str | None, typer.Option(help="Method; by default the one that needs the fewest samples.")
+    ] = None,
+    samples: Annotated[
+        str | None,
+        typer.Option(help="Set of samples, such as grid5; by default the study's answer."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed; by default the one with the smallest proved worst case."),
+    ] = None,
+    input_unit: Annotated[str, typer.Option(help="What positions are given in: mm or m.")] = "mm",
+    output_unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What joint values come in: rad (default) or deg; mm (default) or m for "
+            "prismatic joints."
+        ),
+    ] = None,
+) -> None:
+    """Write a trained network as ONNX and as C, and a certificate of it beside them."""
+    from iksamples.export.choose import choose
+    from iksamples.export.write import C_FILE, CERTIFICATE, ONNX_FILE
+    from iksamples.export.write import export as write
+
+    choice = choose(results, method, samples, seed)
+    certificate = write(choice, output, input_unit, output_unit or ())
+    typer.echo(
+        f"{choice.cell.method}, {choice.cell.label}, seed {choice.seed}: {choice.why}.\n"
+        f"{certificate['position_error']['says']}\n"
+        f"Written to {output}: {ONNX_FILE}, {C_FILE}, {CERTIFICATE}"
+    )

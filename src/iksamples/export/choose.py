@@ -1,0 +1,111 @@
+"""Which network of a finished study is taken away."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from iksamples.answer.answer import Answer, MethodAnswer, read_answer
+from iksamples.answer.collect import WORKSPACE, read_runs
+from iksamples.errors import IksamplesError
+from iksamples.network import StackedMLP
+from iksamples.results import Cell
+from iksamples.study import Study, read_study
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """One network of a study.
+
+    Attributes:
+        study: The study.
+        cell: Its method on its samples.
+        network: The network alone.
+        why: Why this one, in a sentence.
+    """
+
+    study: Study
+    cell: Cell
+    network: StackedMLP
+    why: str
+
+    @property
+    def seed(self) -> int:
+        """Its seed."""
+        return self.network.seeds[0]
+
+
+def choose(
+    results: Path,
+    method: str | None = None,
+    samples: str | None = None,
+    seed: int | None = None,
+) -> Choice:
+    """The network that a finished study recommends, or one that is asked for.
+
+    Without being asked, it is of the method that needs the fewest samples among those that are
+    trained, at the number of samples that is the answer; if none is the answer, the best network of
+    the largest set. Of its seeds it is the one with the least proved worst case; measured, where
+    nothing is proved.
+
+    Args:
+        results: The study's results folder.
+        method: Name of the method.
+        samples: Name of the set of samples, such as ``grid5``.
+        seed: Seed of the training.
+
+    Raises:
+        IksamplesError: The study is not finished, or there is no such network.
+    """
+    answer, study = read_answer(results), read_study(results / "study.json")
+    one, label, why = _variant(answer, method, samples)
+    runs = read_runs(results)
+    runs = runs[(runs["method"] == one.method) & (runs["label"] == label)]
+    runs = runs[(runs["region"] == WORKSPACE) & ~runs["diverged"]]
+    if seed is None:
+        if runs.empty:
+            raise IksamplesError(f"{one.method} on {label}: every training diverged.")
+        proved = runs["verified"].any()
+        column = "sup_upper_mm" if proved else "error_max_mm"
+        seed = int(runs["seed"].to_numpy()[np.nanargmin(runs[column].to_numpy())])
+        kind = "the smallest proved worst case" if proved else "the smallest measured error"
+        why = f"{why}; of {len(runs)} seeds the one with {kind}"
+    elif seed not in set(runs["seed"]):
+        known = ", ".join(map(str, sorted(runs["seed"])))
+        raise IksamplesError(f"{one.method} on {label}: no sound seed {seed}; there are {known}.")
+    cell = Cell(results, one.method, label)
+    return Choice(study, cell, cell.network.select([cell.network.seeds.index(seed)]), why)
+
+
+def _variant(
+    answer: Answer, method: str | None, samples: str | None
+) -> tuple[MethodAnswer, str, str]:
+    """The method and its samples, and why."""
+    trained = [one for one in answer.methods if one.kind == "network"]
+    known = ", ".join(dict.fromkeys(one.method for one in trained))
+    fitting = [one for one in trained if method in (None, one.method)]
+    if not fitting:
+        raise IksamplesError(f"{answer.study}: no trained method '{method}'; there are {known}.")
+    if samples is not None:
+        for one in fitting:
+            if samples in [rung.label for rung in one.rungs]:
+                return one, samples, "as asked for"
+        labels = ", ".join(rung.label for one in fitting for rung in one.rungs)
+        raise IksamplesError(f"{answer.study}: no samples '{samples}'; there are {labels}.")
+    answered = [one for one in fitting if one.n_samples is not None and one.status == "answered"]
+    if answered:
+        best = min(answered, key=lambda one: one.n_samples or 0)
+        [label] = [rung.label for rung in best.rungs if rung.n_samples == best.n_samples]
+        return (
+            best,
+            label,
+            f"{best.method} with {best.n_samples} samples is the answer of the study",
+        )
+    best = min(fitting, key=lambda one: one.rungs[-1].error_best_mm or float("inf"))
+    last = best.rungs[-1]
+    return (
+        best,
+        last.label,
+        f"no trained method meets the study's tolerance; {best.method} with {last.n_samples} "
+        "samples has the best network of the largest set",
+    )
