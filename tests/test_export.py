@@ -14,10 +14,10 @@ import pandas as pd
 import pytest
 from certificate_cases import plain_tip, points_in, random_network
 
+from iksamples.answer.assess import answer
 from iksamples.answer.collect import FILE as RUNS_FILE
 from iksamples.answer.collect import read_runs
 from iksamples.answer.outcomes import outcomes
-from iksamples.answer.size import answer
 from iksamples.certify.readers.network import load_network
 from iksamples.certify.readers.proved import prove
 from iksamples.certify.readers.units import fed_as, read_as
@@ -71,7 +71,7 @@ def results(tmp_path, rng):
                 }  # fmt: skip
                 rows.append(row)
     pd.DataFrame(rows).to_parquet(folder / RUNS_FILE)
-    found = answer(study, outcomes(study, read_runs(folder)), [])
+    found = answer(study, outcomes(study, read_runs(folder)))
     (folder / "study.json").write_text(study.model_dump_json())
     (folder / "answer.json").write_text(found.to_json())
     return folder
@@ -97,8 +97,8 @@ def test_the_best_seed_of_the_largest_set_unless_asked(results):
 
 def test_a_size_that_is_the_answer_is_taken(results):
     known = json.loads((results / "answer.json").read_text())
-    bent = next(one for one in known["methods"] if one["method"] == "bent")
-    bent |= {"status": "answered", "n_samples": 8, "points_per_axis": 2, "more_than": None}
+    bent = next(one for one in known["variants"] if one["method"] == "bent")
+    bent |= {"status": "answered", "n_samples": 8}
     (results / "answer.json").write_text(json.dumps(known))
     found = choose(results)
     assert (found.cell.method, found.cell.label) == ("bent", "grid2")
@@ -108,7 +108,7 @@ def test_a_size_that_is_the_answer_is_taken(results):
 @pytest.mark.parametrize(
     ("asked", "match"),
     [
-        ({"method": "cubic"}, "no trained method 'cubic'; there are network, bent"),
+        ({"method": "cubic"}, "no trained method 'cubic'; there are: network, bent"),
         ({"samples": "grid9"}, "no samples 'grid9'; there are grid2, grid3"),
         ({"seed": 99}, "no sound seed 99; there are 3, 4, 5"),
     ],

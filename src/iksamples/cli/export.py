@@ -5,15 +5,21 @@ from typing import Annotated
 
 import typer
 
-from iksamples.cli.common import Results, app
+from iksamples.cli.common import app
 
 
 @app.command()
 def export(
-    results: Results,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for the files.", file_okay=False)
     ],
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            help="Results folder of the study; by default the one in results/ answered last.",
+            file_okay=False,
+        ),
+    ] = None,
     method: Annotated[
         str | None, typer.Option(help="Method; by default the one that needs the fewest samples.")
     ] = None,
@@ -35,14 +41,16 @@ def export(
     ] = None,
 ) -> None:
     """Write a trained network as ONNX and as C, and a certificate of it beside them."""
+    from iksamples.answer.answer import newest
     from iksamples.export.choose import choose
     from iksamples.export.write import C_FILE, CERTIFICATE, ONNX_FILE
     from iksamples.export.write import export as write
 
-    choice = choose(results, method, samples, seed)
+    choice = choose(results or newest("results"), method, samples, seed)
     certificate = write(choice, output, input_unit, output_unit or ())
     typer.echo(
-        f"{choice.cell.method}, {choice.cell.label}, seed {choice.seed}: {choice.why}.\n"
+        f"{choice.study.name}, {choice.cell.method}, {choice.cell.label}, seed {choice.seed}: "
+        f"{choice.why}.\n"
         f"{certificate['position_error']['says']}\n"
         f"Written to {output}: {ONNX_FILE}, {C_FILE}, {CERTIFICATE}"
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from iksamples.answer.answer import Answer, MethodAnswer, read_answer
+from iksamples.answer.answer import Answer, VariantAnswer, read_answer
 from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
@@ -79,33 +79,35 @@ def choose(
 
 def _variant(
     answer: Answer, method: str | None, samples: str | None
-) -> tuple[MethodAnswer, str, str]:
+) -> tuple[VariantAnswer, str, str]:
     """The method and its samples, and why."""
-    trained = [one for one in answer.methods if one.kind == "network"]
+    trained = [one for one in answer.variants if one.kind == "network"]
     known = ", ".join(dict.fromkeys(one.method for one in trained))
     fitting = [one for one in trained if method in (None, one.method)]
     if not fitting:
-        raise IksamplesError(f"{answer.study}: no trained method '{method}'; there are {known}.")
+        asked = f" '{method}'" if method else ""
+        raise IksamplesError(
+            f"{answer.study}: no trained method{asked}; there are: {known or 'none'}."
+        )
     if samples is not None:
         for one in fitting:
-            if samples in [rung.label for rung in one.rungs]:
+            if samples in [size.label for size in one.sizes]:
                 return one, samples, "as asked for"
-        labels = ", ".join(rung.label for one in fitting for rung in one.rungs)
+        labels = ", ".join(size.label for one in fitting for size in one.sizes)
         raise IksamplesError(f"{answer.study}: no samples '{samples}'; there are {labels}.")
-    answered = [one for one in fitting if one.n_samples is not None and one.status == "answered"]
+    answered = [one for one in fitting if one.found]
     if answered:
-        best = min(answered, key=lambda one: one.n_samples or 0)
-        [label] = [rung.label for rung in best.rungs if rung.n_samples == best.n_samples]
-        return (
-            best,
-            label,
-            f"{best.method} with {best.n_samples} samples is the answer of the study",
-        )
-    best = min(fitting, key=lambda one: one.rungs[-1].error_best_mm or float("inf"))
-    last = best.rungs[-1]
+        best = min(answered, key=lambda one: one.shown.n_samples)
+        fewest = f"{best.shown.n_samples}, which {best.method} needs"
+        return best, best.shown.label, f"the fewest samples of a trained method are {fewest}"
+    best = min(fitting, key=lambda one: _least(one.shown.error_best_mm))
     return (
         best,
-        last.label,
-        f"no trained method meets the study's tolerance; {best.method} with {last.n_samples} "
-        "samples has the best network of the largest set",
+        best.shown.label,
+        f"no trained method is shown to meet the study's tolerance; {best.method} with "
+        f"{best.shown.n_samples} samples has the best network of the largest set",
     )
+
+
+def _least(error_mm: float | None) -> float:
+    return float("inf") if error_mm is None else error_mm
