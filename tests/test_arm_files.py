@@ -140,6 +140,7 @@ def test_a_joint_without_limits_is_fine_until_a_study_needs_them(tmp_path):
         ('"0 1 0"', '"0 1"', "2 numbers instead of 3"),
         ('"0 1 0"', '"0 1 0 0"', "4 numbers instead of 3"),
         ('"0 1 0"', '"0 one 0"', "'one', not a finite number"),
+        ('"0.2 0 0"', '"1e307 0 0"', "'j2' lies 1e.307 m from the one before"),
         ('"0.2 0 0"', '"${a} 0 0"', "expand the xacro"),
         ('"0 0 0.5"', '"0 inf 0"', "origin's rpy is 'inf'"),
         ('lower="-1" upper="2"', 'lower="2" upper="-1"', "'j1': its limits are swapped"),

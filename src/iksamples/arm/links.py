@@ -11,6 +11,7 @@ from iksamples.errors import IksamplesError
 
 
 Kind = Literal["revolute", "continuous", "prismatic", "fixed"]
+MOST_METRES = 1e4
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
@@ -49,6 +50,11 @@ def assemble(joints: Iterable[Joint]) -> SerialChain:
     kinds: list[JointKind] = []
     axes, points, limits = [], [], []
     for joint in joints:
+        far = max(np.abs(joint.before[:3, 3]).max(), np.abs(joint.after[:3, 3]).max())
+        if far > MOST_METRES:
+            raise IksamplesError(
+                f"joint '{joint.name}' lies {far:g} m from the one before; lengths are in metres."
+            )
         frame = frame @ joint.before
         if joint.kind != "fixed":
             names.append(joint.name)

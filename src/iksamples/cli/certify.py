@@ -60,7 +60,7 @@ def certify(
         Path,
         typer.Option(help="Networks: .onnx, or a state dict (.pt, .pth, .ckpt, .safetensors)."),
     ],
-    robot: Annotated[Path, typer.Option(help="URDF of the arm.")],
+    robot: Annotated[Path, typer.Option(help="URDF of the arm, or its Denavit-Hartenberg table.")],
     box: Annotated[
         str,
         typer.Option(
