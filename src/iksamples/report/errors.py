@@ -25,7 +25,7 @@ def curves(data: ReportData) -> dict[str, Any]:
     measured = {
         measure: columns
         for measure, columns in MEASURES.items()
-        if set(columns) <= set(data.compared.columns)
+        if data.compared[list(columns)].notna().to_numpy().any()
     }
     regions = data.runs[(data.runs["method"] == NETWORK) & data.runs["label"].isin(data.cells)]
     dots = regions.assign(line=f"{NETWORK}, one mark per seed", tip=_tips(regions))
@@ -167,6 +167,9 @@ def _regions(data: ReportData, rows: pd.DataFrame) -> pd.DataFrame:
             "Largest of any seed [mm]": by["error_max_mm"].max(),
         }
     )
+    if rows["angle_mean_deg"].notna().any():
+        table["Mean [deg]"] = by["angle_mean_deg"].mean()
+        table["Largest of any seed [deg]"] = by["angle_max_deg"].max()
     return table.reset_index().rename(columns={"region": "Region", "n_samples": "Samples"})
 
 
