@@ -108,6 +108,63 @@ def test_read_as_the_operations_say(rng, tmp_path, steps):
     np.testing.assert_allclose(reading.network.predict(points)[0], expected, rtol=0, atol=1e-12)
 
 
+def random_steps(rng, constants):
+    """A chain of random operations from three values to three, with one kind of activation."""
+    kind = str(rng.choice(["Relu", "Tanh"]))
+    steps, width = [], 3
+
+    def fresh(shape):
+        name = f"c{len(constants)}"
+        constants[name] = rng.uniform(0.3, 1.2, shape) * rng.choice([-1, 1], shape)
+        return name
+
+    def mapped(after):
+        gemm = {"transB": int(rng.integers(2)), "alpha": float(rng.choice([1.0, -0.5]))}
+        shape = (after, width) if gemm["transB"] else (width, after)
+        match rng.integers(3):
+            case 0:
+                return [("MatMul", "_", fresh((width, after)))]
+            case 1:
+                bias = fresh([(), (after,), (1, after)][rng.integers(3)])
+                return [("Gemm", "_", fresh(shape), bias, gemm | {"beta": 0.25})]
+            case _:
+                turn = ("Transpose", "_", {"perm": [1, 0]})
+                return [turn, ("MatMul", fresh((after, width)), "_"), turn]
+
+    for _ in range(rng.integers(3, 12)):
+        operand = [(), (1,), (width,), (1, width)][rng.integers(4)]
+        match rng.integers(8):
+            case 0 | 1:
+                after = int(rng.integers(2, 6))
+                steps += mapped(after)
+                width = after
+            case 2:
+                steps.append((kind,))
+            case 3:
+                steps.append((str(rng.choice(["Neg", "Identity", "Dropout"])),))
+            case 4:
+                steps += [("Unsqueeze", "_", "axis0"), ("Squeeze", "_", "axis0")]
+            case 5:
+                steps.append(("Div", "_", fresh(operand)))
+            case _:
+                ends = ["_", fresh(operand)]
+                op = str(rng.choice(["Add", "Sub", "Mul"]))
+                steps.append((op, *(ends if rng.integers(2) else ends[::-1])))
+    return [*steps, *mapped(3)]
+
+
+@pytest.mark.parametrize("case", range(40))
+def test_any_chain_of_operations(rng, tmp_path, case):
+    constants = {"axis0": np.array([0])}
+    whole = model(chain(*random_steps(rng, constants)), constants)
+    save(whole, tmp_path / "net.onnx")
+    found = load_network(tmp_path / "net.onnx", (3, 3)).network
+    points, run = rng.normal(size=(5, 3)), ReferenceEvaluator(whole)
+    expected = np.concatenate([run.run(None, {"x": point[None]})[0] for point in points])
+    size = np.abs(expected).max() + 1
+    np.testing.assert_allclose(found.predict(points)[0], expected, rtol=0, atol=1e-11 * size)
+
+
 def test_float32_constants_are_folded_without_rounding(rng, tmp_path):
     """Products of two float32 numbers fit a float64; nothing else is multiplied here."""
     constants = numbers(rng, np.float32)

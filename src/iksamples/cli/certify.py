@@ -169,7 +169,8 @@ def certify(
         )
     if any(one.upper_mm == math.inf for one in proved):
         raise typer.Exit(1)
-    if fed is None:
+    network = reading.network
+    if not network.offset_mm.any() and (network.scale_mm == 1).all():
         typer.echo("Positions go into the network as they are, in mm (no option says otherwise).")
     folded = " (as folded here; the file's own operations round more often)"
     typer.echo(
