@@ -194,8 +194,13 @@ def test_a_scaling_of_the_inputs_stays_what_it_is(rng, tmp_path):
     assert not reading.folded
     np.testing.assert_array_equal(reading.network.offset_mm, constants["offset"])
     np.testing.assert_array_equal(reading.network.scale_mm, constants["scale"])
+    more = [("Mul", "_", "scale"), *steps]
+    save(model(chain(*more), constants, kind=TensorProto.FLOAT), tmp_path / "more.onnx")
+    assert load_network(tmp_path / "more.onnx", (3, 3)).folded
     fed = Scaling(np.array([1.0, 2.0, 3.0]), np.array([10.0, 20.0, 30.0]))
-    both = load_network(tmp_path / "net.onnx", (3, 3), fed=fed).network
+    twice = load_network(tmp_path / "net.onnx", (3, 3), fed=fed)
+    assert twice.folded
+    both = twice.network
     points = rng.normal(size=(5, 3)) * 10
     np.testing.assert_allclose(
         both.predict(points),

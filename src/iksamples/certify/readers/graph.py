@@ -31,7 +31,7 @@ from iksamples.errors import IksamplesError
 
 _OLDEST = 7
 """Before this version of the operators, shapes were broadcast by rules of their own."""
-_ACTIVATIONS = {"Relu": "relu", "Tanh": "tanh"}
+_SCALINGS = ("Add", "Sub", "Mul", "Div", "Neg")
 
 
 def read_onnx(path: Path, n_inputs: int) -> FileNetwork:
@@ -81,6 +81,7 @@ class _Walk:
         self.activations: list[str] = []
         self.inputs: Scaling | None = None
         self.values: dict[str, Value] = {}
+        self.scalings = 0  # operations on the input before the first layer
         self.used: list[str] = []  # names of the matrices since the last activation
         self.tensors = {item.name: item for item in graph.initializer}
         sources = [item for item in graph.input if item.name not in self.tensors]
@@ -118,6 +119,7 @@ class _Walk:
             tuple(self.layers),
             self.activations[0] if self.activations else "relu",
             self.inputs or unscaled(self.n_inputs),
+            self.scalings > 2,
         )
 
     def _needed(self) -> list[Any]:
@@ -162,6 +164,8 @@ class _Walk:
                 f"has an operation {label}{f' with {strange}' if strange else ''} that is not an "
                 "affine map, ReLU or tanh; such a network cannot be certified"
             )
+        if node.op_type in _SCALINGS and not self.layers and self.inputs is None:
+            self.scalings += any(value is not None and value.coef is not None for value in inputs)
         if node.op_type in ("MatMul", "Gemm"):
             inputs = [v and self._normalised(v) for v in inputs]
             self.used += [name for name in node.input[:2] if name in self.tensors]

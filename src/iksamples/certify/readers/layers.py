@@ -37,7 +37,7 @@ class FileNetwork:
         layers: Weights, shape (in, out), and biases, shape (out,), of each layer.
         activation: What is between the layers.
         inputs: What is done to the inputs before the first layer.
-        scaled_twice: Whether ``inputs`` stands for more than one scaling.
+        scaled_twice: Whether ``inputs`` stands for more than one difference and one quotient.
     """
 
     names: tuple[str, ...]
@@ -71,7 +71,8 @@ class FileNetwork:
             inputs=Scaling(
                 plus(first.offset, times(first.scale, own.offset)), times(first.scale, own.scale)
             ),
-            scaled_twice=bool(np.any(own.offset != 0) or np.any(own.scale != 1)),
+            scaled_twice=self.scaled_twice
+            or bool(np.any(own.offset != 0) or np.any(own.scale != 1)),
         )
 
     def answering(self, then: Scaling) -> "FileNetwork":
