@@ -39,10 +39,15 @@ def escaped(value: object) -> Markup:
 
 def code(value: object) -> Markup:
     """A command, a path or a key between backticks, whatever backticks it holds itself."""
-    text = re.sub(r"[\r\n]+", " ", str(value))
+    text = line(str(value))
     fence = "`" * (max((len(run) for run in re.findall("`+", text)), default=0) + 1)
     pad = " " if "`" in text else ""
     return Markup(f"{fence}{pad}{text}{pad}{fence}")
+
+
+def line(command: str) -> str:
+    """A command as one line of a fence, which a line break could end."""
+    return re.sub(r"[\r\n]+", " ", command)
 
 
 def number(value: float, digits: int = 2, rounding: str = "") -> str:

@@ -1,5 +1,6 @@
 """What the report says of the run: the study in a line, paths, cost, and how it was made."""
 
+import shlex
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -62,13 +63,16 @@ def paths(data: ReportData) -> dict[str, Any]:
         return len(samples), strokes, samples
 
     uri = str(data.tracking.get("tracking_uri", ""))
-    local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {uri}"
+    local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {shlex.quote(uri)}"
     return {
         "scene": scene(data, chain, waypoints),
         "arm": views.arm(chain, box, [panel(label, names[-1]) for label in (few[0], few[-1])]),
         "plans": views.plans([panel(label, names[0]) for label in few]),
         "arm_path": names[-1],
-        "recordings": [(data.results / "recordings" / f"{name}.rrd").as_posix() for name in names],
+        "recordings": [
+            shlex.join(["rerun", (data.results / "recordings" / f"{name}.rrd").as_posix()])
+            for name in names
+        ],
         "server": uri if uri.startswith("http") else None,
         "mlflow": f"mlflow ui{local}",
     }

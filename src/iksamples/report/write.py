@@ -142,7 +142,7 @@ def text_environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for name in ("code", "mm", "number", "percent", "span", "table", "whole"):
+    for name in ("code", "line", "mm", "number", "percent", "span", "table", "whole"):
         environment.filters[name] = getattr(markdown, name)
     return environment
 
