@@ -18,6 +18,7 @@ from iksamples.answer.answer import read_answer
 from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
+from iksamples.files import kept_file
 from iksamples.report import provenance
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.front import write_front_page
@@ -258,14 +259,15 @@ def test_networks_that_diverged_are_counted_and_left_out(data: ReportData, tmp_p
     shutil.copytree(data.results, tmp_path / "results")
     runs = pd.read_parquet(tmp_path / "results/runs.parquet")
     lost = (runs["method"] == "network") & (runs["n_samples"] == 8)
-    runs.assign(diverged=runs["diverged"] | lost).to_parquet(tmp_path / "results/runs.parquet")
+    with kept_file(tmp_path / "results/runs.parquet") as file:
+        runs.assign(diverged=runs["diverged"] | lost).to_parquet(file)
     write_report(data.study, tmp_path / "results", tmp_path / "report")
     page = html.parse(tmp_path / "report/index.html").getroot()
     assert "7 trainings diverged" in page.text_content()
     shown = table_with(page, "Method", "8", "27", "125").set_index("Method")
     assert str(shown.loc["network", "8"]) in ("", "nan")
-    everything = runs.assign(diverged=True)
-    everything.to_parquet(tmp_path / "results/runs.parquet")
+    with kept_file(tmp_path / "results/runs.parquet") as file:
+        runs.assign(diverged=True).to_parquet(file)
     with pytest.raises(IksamplesError, match="every network diverged"):
         write_report(data.study, tmp_path / "results", tmp_path / "report")
 
