@@ -1,5 +1,6 @@
 """Random chains and networks for the certificates, and the plainest code that evaluates them."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,24 @@ import numpy as np
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.checker import Claim, Verification, verify
 from iksamples.network import StackedMLP
+
+
+@dataclass(frozen=True)
+class Along:
+    """A target of positions alone, also of fewer than two: an arm along a line."""
+
+    positions: tuple[int, ...]
+    n_inputs: int
+    orientation: str = "free"
+
+    @property
+    def coordinates(self):
+        """A name for each input."""
+        return tuple("abcdef"[: self.n_inputs])
+
+
+ONE = Along((0,), 1)
+"""One input, and the tip's x."""
 
 
 def make_chain(kinds, axes, points, tip) -> SerialChain:

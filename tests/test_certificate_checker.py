@@ -7,6 +7,8 @@ import mpmath
 import numpy as np
 import pytest
 from certificate_cases import (
+    ONE,
+    Along,
     check,
     linear_network,
     make_chain,
@@ -20,11 +22,11 @@ from certificate_cases import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from iksamples.arm.target import Target
 from iksamples.certify.balls import Ball, norm_above, sum_above
 from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
 from iksamples.certify.jets import Linkage
-from iksamples.certify.residual import Comparison
 from iksamples.certify.rounding import inference_slack_mm
 from iksamples.certify.search import Leaves, certify_sup
 from iksamples.certify.tiling import tiles
@@ -216,7 +218,9 @@ def test_cancellation_in_the_network_is_counted():
             (first[None], second[None]), (bias[None], np.zeros((1, 1), np.float32)), "relu",
             np.zeros(1), np.ones(1), (0,),
         )  # fmt: skip
-        certificate = certify_sup(stack, 0, slide, Region.box([0.0], [1.0]), keep_leaves=True)
+        certificate = certify_sup(
+            stack, 0, slide, Region.box([0.0], [1.0]), keep_leaves=True, target=ONE
+        )
 
         def error(x, first=first, bias=bias, second=second):
             hidden = [
@@ -227,7 +231,7 @@ def test_cancellation_in_the_network_is_counted():
             return abs(answer - x)
 
         largest = max(error(0), error(1))
-        checked = check(certificate, stack, 0, slide, Region.box([0.0], [1.0]))
+        checked = check(certificate, stack, 0, slide, Region.box([0.0], [1.0]), target=ONE)
         assert Fraction(checked.lower) <= largest <= Fraction(checked.upper)
         assert largest <= Fraction(certificate.upper)
 
@@ -339,7 +343,7 @@ def test_claims_that_the_leaves_do_not_prove(rng):
     assert not holds(chain=planar([40.0, 30.5]))
     # What is claimed is the caller's: a larger region is not proved by leaves for a smaller one.
     assert not holds(region=Region.box((20, 20), (50, 51)), lower=0.0)
-    assert not holds(compare=Comparison((1, 0), (0, 1)))
+    assert not holds(target=Along((1, 0), 2))
     # A point outside of the region proves nothing, however near.
     assert not holds(argmax=honest.argmax + 1000.0)
     beside = np.where(honest.argmax > 35, 50 + 1e-6, 20 - 1e-6)
@@ -442,29 +446,19 @@ def test_the_lower_bound_is_rounded_down():
         assert Fraction(checked.lower) ** 2 <= square <= Fraction(checked.upper) ** 2
 
 
-def test_compared_coordinates_may_be_chosen(rng):
+def test_what_is_asked_may_be_chosen(rng):
     """A planar arm in the x-z plane, and a network with an input that is not compared."""
     chain = make_chain("RR", [(0, 1, 0)] * 2, [(0, 0, 0), (40, 0, 0)], (70, 0, 0))
-    stack = random_network(rng, (3, 6, 2), "relu", lower=(20, 0, 10), upper=(40, 1, 30))
-    compare = Comparison((0, 2), (0, 2))
-    certificate = certify_sup(
-        stack, 0, chain, Region.box((20, 0, 10), (40, 1, 30)), keep_leaves=True, compare=compare
-    )
-    assert check(
-        certificate, stack, 0, chain, Region.box((20, 0, 10), (40, 1, 30)), compare=compare
-    ).verified
-    points = points_in(rng, (20, 0, 10), (40, 1, 30), 5000)
-    miss = plain_tip(chain, plain_answer(stack, 0, points))[:, [0, 2]] - points[:, [0, 2]]
+    stack = random_network(rng, (3, 6, 2), "relu", lower=(20, 10, 0), upper=(40, 30, 1))
+    region, target = Region.box((20, 10, 0), (40, 30, 1)), Along((0, 2), 3)
+    certificate = certify_sup(stack, 0, chain, region, keep_leaves=True, target=target)
+    assert check(certificate, stack, 0, chain, region, target=target).verified
+    points = points_in(rng, (20, 10, 0), (40, 30, 1), 5000)
+    miss = plain_tip(chain, plain_answer(stack, 0, points))[:, [0, 2]] - points[:, [0, 1]]
     assert np.linalg.norm(miss, axis=1).max() <= certificate.upper
-    for coordinates, inputs in (((0, 3), (0, 1)), ((0,), (0, 1)), ((0, 1), (0, 3)), ((), ())):
-        with pytest.raises(IksamplesError, match="compare"):
-            certify_sup(
-                stack,
-                0,
-                chain,
-                Region.box((20, 0, 10), (40, 1, 30)),
-                compare=Comparison(coordinates, inputs),
-            )
+    for wrong, measure in ((Target(("x", "y")), "position"), (Target(("x", "y", "z")), "angle")):
+        with pytest.raises(IksamplesError, match="asked"):
+            certify_sup(stack, 0, chain, region, target=wrong, measure=measure)
 
 
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
@@ -555,7 +549,7 @@ def test_single_precision_adds_up_over_many_layers(rng):
         hidden = hidden @ weight[0]
     assert hidden.dtype == np.float32
     apart = np.abs(hidden - plain_answer(stack, 0, points)).max()
-    [slack] = inference_slack_mm(stack, slide, Region.box([1.0], [2.0]))
+    [slack] = inference_slack_mm(stack, slide, Region.box([1.0], [2.0]), ONE)
     assert slack / 200 < apart <= slack
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from certificate_cases import (
+    Along,
     linear_network,
     make_chain,
     plain_answer,
@@ -25,7 +26,7 @@ from iksamples.certify.enclosure import (
 )
 from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
 from iksamples.certify.layers import Layers
-from iksamples.certify.residual import Comparison, ErrorOverBoxes
+from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -321,7 +322,7 @@ def test_no_point_of_a_box_is_above_its_bound(seed, kinds, activation, depth, d,
 @pytest.mark.parametrize("dropped", ["cubic_remainder_mm", "bending_mm"])
 def test_a_dropped_remainder_is_noticed(monkeypatch, dropped):
     """On these boxes the bound without the term is exceeded, so the tests above do see it."""
-    compare = Comparison((1,), (0,))  # the arm's y against a single input
+    target = Along((1,), 1)  # the arm's y against a single input
     if dropped == "cubic_remainder_mm":  # 70 sin(x / 70) - x is all third order
         chain, stack, lower, upper = planar([70.0]), linear_network([[1 / 70]], [0.0]), -70.0, 70.0
     else:  # a kink in the angle, where 200 sin(angle) - x bends upwards
@@ -336,7 +337,7 @@ def test_a_dropped_remainder_is_noticed(monkeypatch, dropped):
         )
 
     def excess():
-        errors = ErrorOverBoxes(stack, chain, Region.box([lower], [upper]), compare)
+        errors = ErrorOverBoxes(stack, chain, Region.box([lower], [upper]), target)
         middle, half = np.array([[(lower + upper) / 2]]), np.array([[(upper - lower) / 2]])
         bound, _, _ = errors.upper_bounds(np.zeros(1, int), middle, half)
         x = np.linspace(lower, upper, 2001)[:, None]

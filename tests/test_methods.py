@@ -1,4 +1,4 @@
-"""Methods other than the network: what they answer, and the certified look-up table."""
+"""Methods other than the network: what they answer."""
 
 from dataclasses import replace
 from typing import get_args
@@ -6,10 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from scipy.optimize import differential_evolution
 
-from iksamples.arm.chain import SerialChain
-from iksamples.certify.lookup import TableCells, certify_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.methods import gaussian_process, rbf
@@ -342,151 +339,6 @@ def test_errors_are_measured_of_any_predictor(study, task, chain):
     expected = errors_mm(task, predictor, points)
     assert table.loc["cube", "error_mean_mm"] == pytest.approx(expected.mean(), rel=1e-5)
     assert table.loc["cube", "error_max_mm"] == pytest.approx(expected.max(), rel=1e-5)
-
-
-# Measured beforehand by an independent program on many random points.
-@pytest.mark.parametrize(
-    ("m", "known"),
-    [(2, 14.9), (3, 4.52), (4, 2.31), (5, 1.41), (6, 0.95), (7, 0.69), (8, 0.52)],
-)
-def test_worst_case_of_the_table_is_the_known_one(m, known, study, task, chain):
-    certificate = certify_table(study, chain, grid_samples(study, task, m), rtol=1e-2)
-    assert certificate.complete
-    assert certificate.cells == (m - 1) ** 3
-    assert certificate.upper_mm <= 1.0101 * certificate.lower_mm
-    assert certificate.lower_mm == pytest.approx(known, rel=0.012)
-
-
-def test_worst_case_of_the_table_agrees_with_a_global_optimiser(study, task):
-    samples = grid_samples(study, task, 3)
-    predictor = fit("multilinear", task, samples)
-    box = list(zip(study.workspace.lower_mm, study.workspace.upper_mm, strict=True))
-
-    def gain(x):
-        return -errors_mm(task, predictor, x.T.reshape(-1, 3))
-
-    found = differential_evolution(
-        gain, box, vectorized=True, updating="deferred", popsize=60, rng=1, tol=1e-10
-    )
-    certificate = certify_table(study, task.arm, samples, rtol=1e-4)
-    assert certificate.lower_mm * (1 - 1e-4) <= -found.fun <= certificate.upper_mm
-    at = errors_mm(task, predictor, certificate.argmax_mm[None])[0]
-    assert at >= certificate.lower_mm
-    assert at == pytest.approx(certificate.lower_mm, abs=1e-9)
-
-
-@pytest.mark.parametrize("spread", [0.5, 0.1])
-def test_no_table_exceeds_its_bounds(spread, study, task, chain, rng):
-    """Tables of chance, on uneven grids within, at and beyond the workspace's walls."""
-    ends = [(20, 80), (30, 75), (-10, 65)]
-    for counts in ([2, 2, 2], [3, 2, 4], [2, 4, 3]):
-        axes = [
-            np.linspace(*end, n) + np.pad(rng.uniform(-6, 6, n - 2), 1)
-            for end, n in zip(ends, counts, strict=True)
-        ]
-
-        def random(x):
-            exact = task.reach(np.clip(x, 20, 60)).joints
-            return exact + spread * rng.normal(size=(len(x), 3))
-
-        samples = on_axes(study, task, *axes, function=random)
-        cells = TableCells.of(study, chain, samples)
-        predictor = fit("multilinear", task, samples)
-        which = rng.integers(len(cells.low_mm), size=200)
-        radius = 0.5 * rng.random((200, 3)) ** 3
-        centre = radius + (1 - 2 * radius) * rng.random((200, 3))
-        upper, corner, _ = cells.upper_bounds_mm(which, centre, radius)
-        for _ in range(40):
-            shares = centre + radius * rng.uniform(-1, 1, (200, 3))
-            points = cells.position_mm(which, shares)
-            error = errors_mm(task, predictor, points)
-            np.testing.assert_allclose(cells.errors_mm(which, shares), error, atol=1e-9)
-            assert (error <= upper).all()
-        assert (cells.errors_mm(which, corner) <= upper).all()
-
-        certificate = certify_table(study, chain, samples, rtol=0.05)
-        sampled = errors_mm(task, predictor, uniform(study, rng, 20_000)).max()
-        assert sampled <= certificate.upper_mm
-        assert certificate.upper_mm <= 1.06 * certificate.lower_mm
-        at = errors_mm(task, predictor, certificate.argmax_mm[None])[0]
-        assert at == pytest.approx(certificate.lower_mm, abs=1e-7)
-
-
-@pytest.mark.parametrize("offset_mm", [0, 6])
-def test_worst_case_of_a_gantry_is_at_a_sample(offset_mm, study, task, rng):
-    """A gantry's error is multilinear in each cell as the table is: largest at a corner."""
-    gantry = SerialChain(
-        ("x", "y", "z"),
-        ("prismatic",) * 3,
-        np.eye(3),
-        np.zeros((3, 3)),
-        np.zeros(3),
-        np.zeros(3),
-        np.full(3, 100.0),
-    )
-    for m in (2, 3):
-        samples = grid_samples(study, task, m)
-        wrong = samples.positions_mm + offset_mm + rng.normal(size=samples.positions_mm.shape)
-        samples = replace(samples, joints=wrong)
-        cells = TableCells.of(study, gantry, samples)
-        half = np.full(cells.low_mm.shape, 0.5)
-        upper, _, _ = cells.upper_bounds_mm(np.arange(len(half)), half, half)
-        for shares in np.ndindex(2, 2, 2):
-            every = np.tile(np.array(shares, float), (len(half), 1))
-            assert (cells.errors_mm(np.arange(len(half)), every) <= upper).all()
-        worst = np.linalg.norm(wrong - samples.positions_mm, axis=1).max()
-        certificate = certify_table(study, gantry, samples, rtol=1e-6)
-        assert certificate.lower_mm == pytest.approx(worst, abs=1e-9)
-        assert worst <= certificate.upper_mm <= worst * (1 + 1e-6) + 1e-9
-
-
-def test_cells_bounds_close_on_the_error_as_the_cube_of_the_box(study, task, chain):
-    """The enclosure is exact to second order, so that halving a box takes three quarters off."""
-    cells = TableCells.of(study, chain, grid_samples(study, task, 4))
-    every = np.arange(len(cells.low_mm))
-    centre = np.full((len(every), 3), 0.4)
-    excess = []
-    for radius in (0.1, 0.05, 0.025):
-        box = np.full_like(centre, radius)
-        upper, _, _ = cells.upper_bounds_mm(every, centre, box)
-        grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 3), axis=-1).reshape(-1, 3)
-        points = (centre[:, None] + radius * grid).reshape(-1, 3)
-        values = cells.errors_mm(np.repeat(every, len(grid)), points).reshape(len(every), -1)
-        excess.append(np.median(upper - values.max(axis=1)))
-    assert excess[1] < excess[0] / 3
-    assert excess[2] < excess[1] / 3
-
-
-def test_bounds_hold_where_the_error_is_largest_inside_a_box(study, task, chain):
-    """There the corners' errors are smaller to second order, the remainder is of third."""
-    samples = grid_samples(study, task, 2)
-    cells = TableCells.of(study, chain, samples)
-    peak = certify_table(study, chain, samples, rtol=1e-6).argmax_mm
-    centre = (peak - cells.low_mm) / cells.size_mm
-    error = cells.errors_mm(np.zeros(1, int), centre)[0]
-    for radius in (0.1, 0.03, 0.01, 0.003):
-        box = np.full((1, 3), radius)
-        upper, corner, _ = cells.upper_bounds_mm(np.zeros(1, int), centre, box)
-        assert cells.errors_mm(np.zeros(1, int), corner)[0] < error
-        assert error <= upper[0]
-
-
-def test_an_unfinished_search_still_bounds(study, task, chain):
-    samples = grid_samples(study, task, 2)
-    certificate = certify_table(study, chain, samples, rtol=1e-6, max_boxes=20)
-    assert not certificate.complete
-    assert certificate.upper_mm > 14.9
-
-
-def test_a_table_without_a_worst_case_is_refused(study, task, chain, masked):
-    samples = grid_samples(study, task, 2)
-    joints = samples.joints.copy()
-    joints[3, 1] = np.nan
-    with pytest.raises(IksamplesError, match="grid2: a joint value of the table is not finite"):
-        certify_table(study, chain, replace(samples, joints=joints))
-    wide, scattered = masked
-    with pytest.raises(NotApplicableError):
-        certify_table(wide, chain, scattered)
 
 
 def test_single_wraps_any_function():

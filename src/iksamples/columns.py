@@ -50,6 +50,8 @@ CERTIFICATES: dict[str, Column] = {
     "seed": Column("-", "seed of the network"),
     "sup_lower_mm": Column("mm", "an error that is taken at the position argmax"),
     "sup_upper_mm": Column("mm", "no position of the workspace has a larger error"),
+    "angle_lower_deg": Column("deg", "an angle that the tool is off by somewhere; where asked for"),
+    "angle_upper_deg": Column("deg", "nowhere is the tool off by a larger angle; where asked for"),
     "argmax_<input>": Column("mm or rad", "the input with the largest known error, as argmax_x_mm"),
     "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
     "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
@@ -61,12 +63,18 @@ CERTIFICATES: dict[str, Column] = {
 """``certificates.csv``: one row per network."""
 
 
-def certificate_columns(inputs: Sequence[str]) -> list[str]:
-    """Columns of ``certificates.csv`` for a task with some inputs, such as ``x_mm``."""
+def certificate_columns(inputs: Sequence[str], turns: bool = False) -> list[str]:
+    """Columns of ``certificates.csv`` for a task with some inputs, such as ``x_mm``.
+
+    Args:
+        inputs: The inputs' columns.
+        turns: Whether the tool's orientation is asked for as well.
+    """
     argmax = [f"argmax_{name}" for name in inputs]
     return [
         column
         for name in CERTIFICATES
+        if turns or not name.startswith("angle_")
         for column in (argmax if name == "argmax_<input>" else [name])
     ]
 

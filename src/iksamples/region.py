@@ -100,6 +100,25 @@ class Region:
         """Each box's share of the volume, shape (boxes,)."""
         return np.array(np.prod(self.upper - self.lower, axis=1) / self.volume)
 
+    def cut(self, places: list[Floats]) -> "Region":
+        """The same region in smaller boxes, cut at some places along each axis.
+
+        Args:
+            places: Increasing coordinates for each axis; those outside a box do not cut it.
+        """
+        lower, upper = self.lower, self.upper
+        for axis, coordinates in enumerate(places):
+            ends: list[Floats] = []
+            for low, high in zip(lower, upper, strict=True):
+                inside = coordinates[(coordinates > low[axis]) & (coordinates < high[axis])]
+                edges = np.concatenate([low[axis : axis + 1], inside, high[axis : axis + 1]])
+                box = np.tile([low, high], (len(edges) - 1, 1, 1))
+                box[:, 0, axis], box[:, 1, axis] = edges[:-1], edges[1:]
+                ends.append(box)
+            pieces = np.concatenate(ends)
+            lower, upper = pieces[:, 0], pieces[:, 1]
+        return Region(lower, upper)
+
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether points are in the region, faces included.
 

@@ -63,6 +63,10 @@ class Network:
         """Width of the output."""
         return len(self.biases[-1])
 
+    def terms(self, centre: Ball, half: Ball) -> "Terms":
+        """The network over leaves."""
+        return _network_terms(self, centre, half)
+
     def answer(self, positions: Ball) -> Ball:
         """Joint values at points, shape (points, joints)."""
         hidden = (positions - self.offset) / self.scale
@@ -128,7 +132,7 @@ def mixed_pairs(d: int) -> list[tuple[int, int]]:
     return [(a, b) for a in range(d) for b in range(a + 1, d)]
 
 
-def network_terms(net: Network, centre: Ball, half: Ball) -> Terms:
+def _network_terms(net: Network, centre: Ball, half: Ball) -> Terms:
     """The network over leaves."""
     leaves, d = centre.shape
     start = (centre - net.offset) / net.scale

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from iksamples.certify.layers import Layers
 
+if TYPE_CHECKING:
+    from iksamples.certify.layers import Layers
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -76,7 +78,7 @@ def pairs(d: int) -> tuple[Ints, Ints]:
     return np.concatenate([np.arange(d), mixed[0]]), np.concatenate([np.arange(d), mixed[1]])
 
 
-def expand(layers: Layers, which: Ints, centre_mm: Floats, radius_mm: Floats) -> Expansion:
+def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) -> Expansion:
     """Encloses the networks' answers over boxes.
 
     Args:

@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from iksamples.certify.enclosure import Expansion, expand
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 Floats = NDArray[np.float64]
@@ -114,6 +116,19 @@ class Layers:
     def n_outputs(self) -> int:
         """Width of the output."""
         return self.weights[-1].shape[2]
+
+    @property
+    def n_symbols(self) -> int:
+        """Number of neurons: noise symbols of an enclosure, at most."""
+        return sum(weight.shape[2] for weight in self.weights)
+
+    def pieces(self, region: Region) -> Region:
+        """A network has no seams."""
+        return region
+
+    def expand(self, which: Ints, centre: Floats, radius: Floats) -> Expansion:
+        """Encloses the networks' answers over boxes (``enclosure.expand``)."""
+        return expand(self, which, centre, radius)
 
     def predict(self, positions_mm: Floats, which: Ints) -> Floats:
         """Joint values at single points.

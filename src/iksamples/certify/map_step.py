@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from iksamples.arm.chain import Floats
 from iksamples.certify.mean import certify_coverage
 from iksamples.certify.search import certify_stack
-from iksamples.certify.step import compared
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
 from iksamples.results import Cell
 from iksamples.study import Study
@@ -126,7 +125,7 @@ def _training(task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
     finite = networks.finite_rows()
     sound, x = networks.select(finite), cell.samples.x
     certificates = certify_stack(
-        sound, task.arm, task.region, rtol=_RTOL, seeds_mm=x, compare=compared(task)
+        sound, task.arm, task.region, rtol=_RTOL, seeds=x, target=task.target
     )
     errors = task.target.position_error_mm(task.arm, sound.predict(x), x)
     return pd.DataFrame(
@@ -153,7 +152,7 @@ def _unsafe(study: Study, task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
         study.tolerance.error_mm,
         atol=_ATOL,
         mixed=_MIXED,
-        compare=compared(task),
+        target=task.target,
     )
     low, high = merge_boxes(coverage.bad_lower_mm, coverage.bad_upper_mm)
     volume = np.prod(high - low, axis=1) / task.region.volume

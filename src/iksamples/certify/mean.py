@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
 from iksamples.certify.enclosure import corners
-from iksamples.certify.residual import Comparison, ErrorOverBoxes, Residual
+from iksamples.certify.residual import ErrorOverBoxes, Residual
+from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -74,7 +76,7 @@ class Coverage:
 
 
 def certify_mean(
-    network: StackedMLP,
+    network: StackedMLP | Table,
     row: int,
     chain: SerialChain,
     region: Region,
@@ -83,12 +85,12 @@ def certify_mean(
     atol_mm: float = 0.0,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
-    compare: Comparison | None = None,
+    target: Target | None = None,
 ) -> MeanError:
     """The mean position error over a region, uniformly weighted.
 
     Args:
-        network: Stacked networks.
+        network: Stacked networks, or a look-up table.
         row: Which of them.
         chain: The arm.
         region: The inputs that it is about.
@@ -96,13 +98,13 @@ def certify_mean(
         atol_mm: or within this length of it [mm], if that is more.
         max_boxes: Cells to bound, at most.
         time_limit_s: Time to spend, at most [s].
-        compare: What is compared; the first coordinates with the first inputs if None.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
         IksamplesError: As ``certify_sup``.
     """
     began = time.perf_counter()
-    errors = ErrorOverBoxes(network.select([row]), chain, region, compare)
+    errors = _errors(network, row, chain, region, target)
     cells = _Cells(errors)
     low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
@@ -110,8 +112,8 @@ def certify_mean(
         low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
         weight = np.concatenate([weight, fresh_weight])
         volume = cells.volume
-        least = float(volume @ low) - float(errors.slack_mm[0])
-        most = float(volume @ high) + float(errors.slack_mm[0])
+        least = float(volume @ low) - float(errors.slack[0])
+        most = float(volume @ high) + float(errors.slack[0])
         allowed = max(rtol * (least + most), 2 * atol_mm)
         done = np.isfinite(most) and most - least <= allowed
         if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
@@ -123,7 +125,7 @@ def certify_mean(
 
 
 def certify_coverage(
-    network: StackedMLP,
+    network: StackedMLP | Table,
     row: int,
     chain: SerialChain,
     region: Region,
@@ -133,12 +135,12 @@ def certify_coverage(
     mixed: float = 1.0,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
-    compare: Comparison | None = None,
+    target: Target | None = None,
 ) -> Coverage:
     """The share of a region where the position error is at most a tolerance.
 
     Args:
-        network: Stacked networks.
+        network: Stacked networks, or a look-up table.
         row: Which of them.
         chain: The arm.
         region: The inputs that it is about.
@@ -148,7 +150,7 @@ def certify_coverage(
             region. The share itself needs no such limit; a drawing of the bad cells does.
         max_boxes: Cells to bound, at most.
         time_limit_s: Time to spend, at most [s].
-        compare: What is compared; the first coordinates with the first inputs if None.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
         IksamplesError: As ``certify_sup``, or the tolerance is not positive.
@@ -156,8 +158,8 @@ def certify_coverage(
     if not (np.isfinite(tolerance_mm) and tolerance_mm > 0):
         raise IksamplesError(f"the tolerance must be a positive length; got {tolerance_mm} mm.")
     began = time.perf_counter()
-    errors = ErrorOverBoxes(network.select([row]), chain, region, compare)
-    slack = float(errors.slack_mm[0])
+    errors = _errors(network, row, chain, region, target)
+    slack = float(errors.slack[0])
     cells = _Cells(errors)
     low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
@@ -189,6 +191,13 @@ def certify_coverage(
         else:
             keep = cells.split(volume * undecided, 0.0, weight)
         low, high, weight = low[keep], high[keep], weight[keep]
+
+
+def _errors(
+    network: StackedMLP | Table, row: int, chain: SerialChain, region: Region, target: Target | None
+) -> ErrorOverBoxes:
+    one = network if isinstance(network, Table) else network.select([row])
+    return ErrorOverBoxes(one, chain, region, target)
 
 
 class _Cells:
@@ -232,7 +241,7 @@ class _Cells:
             size = (self.region.upper - self.region.lower)[at]
             centre = self.region.lower[at] + size * (low + 0.5 * edge)
             which = np.zeros(len(low), int)
-            residual = self.errors.residual(which, centre, 0.5 * size * edge)
+            [residual] = self.errors.residuals(which, centre, 0.5 * size * edge)
             with np.errstate(all="ignore"):
                 weight = _weight(residual)
                 known = np.isfinite(weight).all(axis=1, keepdims=True)
@@ -363,7 +372,7 @@ def _share_of_cells(
     room = tolerance_mm - cut.mean
     below = _share_under_plane(cut.slope, room - cut.bend - bulge - blur, -1.0)
     above = _share_under_plane(cut.slope, room + cut.bend + blur, 1.0)
-    good = np.fmin(residual.largest()[0] + slack_mm, residual.most_mm) <= tolerance_mm
+    good = np.fmin(residual.largest() + slack_mm, residual.most_mm) <= tolerance_mm
     return np.where(good, 1.0, below), np.where(good, 1.0, above)
 
 

@@ -1,27 +1,30 @@
 """How far the arm misses over a box: the network's enclosure sent through the forward kinematics.
 
-The residual is ``y(x) = position(f(x)) - x`` on the compared coordinates. Its linear part
-``J A - I`` is formed before any absolute value is taken: both halves are large and nearly cancel.
+The residual is ``y(x) = position(f(x)) - x`` on the compared coordinates, or how far a tool axis is
+from where it should point (``compared``). Its linear part ``J A - I`` is formed before any absolute
+value is taken: both halves are large and nearly cancel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
+from iksamples.certify.compared import Compared, Measure, angle_rad, compared, target_of
 from iksamples.certify.enclosure import (
     Expansion,
     corners,
-    expand,
     half_of_corners,
     mirrored,
     pairs,
 )
 from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
 from iksamples.certify.layers import Layers
-from iksamples.certify.rounding import search_slack_mm
+from iksamples.certify.rounding import search_slack
+from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -35,40 +38,6 @@ _CACHE = 400_000
 _SLACK = 64.0
 """How many roundings of the plain evaluation the search allows itself. Generous, not proved: the
 checker is the proof."""
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Which coordinates of the tip are meant to equal which inputs of the network.
-
-    A network of more inputs than coordinates (a pose, a redundancy parameter) is compared on some
-    of its inputs; a planar arm on two coordinates of its tip.
-
-    Attributes:
-        coordinates: Coordinates of the tip's position (0 is x).
-        inputs: The network's input that each of them is compared with.
-    """
-
-    coordinates: tuple[int, ...]
-    inputs: tuple[int, ...]
-
-    @classmethod
-    def default(cls, n_inputs: int) -> "Comparison":
-        """The first coordinates with the first inputs."""
-        n = min(n_inputs, 3)
-        return cls(tuple(range(n)), tuple(range(n)))
-
-    def check(self, n_inputs: int) -> None:
-        """Raises an IksamplesError unless the tip and that many inputs can be compared so."""
-        if not (
-            0 < len(self.coordinates) == len(self.inputs)
-            and all(0 <= i < 3 for i in self.coordinates)
-            and all(0 <= i < n_inputs for i in self.inputs)
-        ):
-            raise IksamplesError(
-                f"cannot compare coordinates {self.coordinates} of the tip with inputs "
-                f"{self.inputs} of a network that has {n_inputs}."
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,17 +72,13 @@ class Residual:
     most_mm: Floats
     weight_mm: Floats
 
-    def largest(self, targets_mm: Floats | None = None) -> tuple[Floats, Ints]:
-        """Upper bounds of ``|y|``, and the corner where each is taken.
+    def at_corners(self) -> Floats:
+        """What ``|y|`` can be at most at the corners, whose largest bounds it, (boxes, corners).
 
         A square lies in [0, 1] whatever ``s`` is. Everything else is affine in each coordinate of
         ``s`` alone, or noise whose reach is convex. The largest norm, which is the largest of
         ``n . y`` over unit vectors n, is then convex in each coordinate alone, so its maximum over
-        the box is at a corner.
-
-        Args:
-            targets_mm: Something multilinear to subtract, given at the corners, shape (boxes,
-                corners, coordinates).
+        the box is at a corner. So is that of the root of the sum of several squared.
         """
         d = self.linear_mm.shape[1]
         squares, mixed = self.quadratic_mm[:, :d], self.quadratic_mm[:, d:]
@@ -126,77 +91,88 @@ class Residual:
                 middle -= self.noise_mm.sum(axis=1)
                 at_corners += self.reach @ self.noise_mm
         at_corners += middle[:, None]
-        if targets_mm is not None:
-            at_corners -= targets_mm
         reach = reach + np.abs(at_corners)
         upper = np.sqrt(np.einsum("bvk,bvk->bv", reach, reach)) + self.remainder_mm
-        upper = np.where(np.isnan(upper), np.inf, upper)  # what overflowed says nothing
-        worst = upper.argmax(axis=1)
-        return upper[np.arange(len(upper)), worst], worst
+        return np.where(np.isnan(upper), np.inf, upper)  # what overflowed says nothing
+
+    def largest(self) -> Floats:
+        """Upper bounds of ``|y|``, shape (boxes,)."""
+        return self.at_corners().max(axis=1)
 
 
 class ErrorOverBoxes:
-    """The position errors of stacked networks on an arm, at points and over boxes."""
+    """The errors of networks, or of a look-up table, on an arm: at points and over boxes."""
 
     def __init__(
         self,
-        network: StackedMLP,
+        answers: StackedMLP | Table,
         chain: SerialChain,
         region: Region,
-        compare: Comparison | None = None,
+        target: Target | None = None,
+        measure: Measure = "position",
     ) -> None:
         """Checks that everything fits together.
 
         Args:
-            network: Stacked networks.
+            answers: Stacked networks, or a look-up table.
             chain: The arm.
             region: The inputs that it is about.
-            compare: What is compared; ``Comparison.default`` if None.
+            target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+            measure: ``"position"`` [mm] or ``"angle"`` [rad].
 
         Raises:
-            IksamplesError: The network, the arm, the region and what is compared do not fit
-                together.
+            IksamplesError: The network, the arm, the region and the target do not fit together.
         """
-        self.layers = Layers.of(network)
-        self.linkage = Linkage.of(chain)
-        self.region = region
-        if region.n_inputs != self.layers.n_inputs:
+        self.answers = answers if isinstance(answers, Table) else Layers.of(answers)
+        inputs = self.answers.n_inputs
+        if region.n_inputs != inputs:
             raise IksamplesError(
-                f"the box needs {self.layers.n_inputs} lower and {self.layers.n_inputs} upper "
-                f"limits, one per input of the network; got {region.n_inputs} of either."
+                f"the box needs {inputs} lower and {inputs} upper limits, one per input of the "
+                f"network; got {region.n_inputs} of either."
             )
-        self.compare = compare or Comparison.default(self.layers.n_inputs)
-        if self.layers.n_outputs != self.linkage.n_joints:
-            raise IksamplesError(
-                f"the network answers {self.layers.n_outputs} joint values, the arm has "
-                f"{self.linkage.n_joints} joints."
+        self.region = self.answers.pieces(region)
+        self.measure = measure
+        self.vectors = [
+            _Carried(item, Linkage.of(item.chain))
+            for item in compared(
+                chain, target or target_of(inputs), measure, inputs, self.answers.n_outputs
             )
-        self.compare.check(self.layers.n_inputs)
-        self.slack_mm = _SLACK * search_slack_mm(self.layers, self.linkage, region)
+        ]
+        self.apart_slack = _SLACK * np.sqrt(
+            sum(search_slack(self.answers, v.item, region) ** 2 for v in self.vectors)
+        )
 
     @property
     def n_networks(self) -> int:
         """Number of stacked networks."""
-        return self.layers.n_networks
+        return self.answers.n_networks
+
+    @property
+    def slack(self) -> Floats:
+        """How far rounding may put a value off [mm or rad], by network, shape (networks,)."""
+        return self._measured(self.apart_slack)
 
     @np.errstate(all="ignore")
-    def values(self, which: Ints, points_mm: Floats) -> Floats:
-        """Errors [mm] at single points, shape (points,)."""
-        reached = self.linkage.position_mm(self.layers.predict(points_mm, which))
-        miss = reached[:, self.compare.coordinates] - points_mm[:, self.compare.inputs]
-        values = np.sqrt(np.einsum("pk,pk->p", miss, miss))
-        return np.where(np.isfinite(values), values, 0.0)  # what overflows shows nothing
+    def values(self, which: Ints, points: Floats) -> Floats:
+        """At least the errors [mm or rad] at single points, shape (points,)."""
+        joints = self.answers.predict(points, which)
+        squares = 0.0
+        for vector in self.vectors:
+            miss = vector.miss(joints, points)
+            squares = squares + np.einsum("pk,pk->p", miss, miss)
+        apart = np.maximum(np.sqrt(squares) - self.apart_slack[which], 0.0)
+        return self._measured(np.where(np.isfinite(apart), apart, 0.0))  # overflow shows nothing
 
     @np.errstate(all="ignore")
     def upper_bounds(
-        self, which: Ints, centre_mm: Floats, radius_mm: Floats
+        self, which: Ints, centre: Floats, radius: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Upper bounds [mm] of the errors over boxes.
+        """Upper bounds [mm or rad] of the errors over boxes.
 
         Args:
             which: The network that each box is for, shape (boxes,).
-            centre_mm: Centres of the boxes, shape (boxes, d).
-            radius_mm: Their half edges, shape (boxes, d).
+            centre: Centres of the boxes, shape (boxes, d).
+            radius: Their half edges, shape (boxes, d).
 
         Returns:
             The bounds; the corner of each box where its bound is taken; how much is lost to its
@@ -205,47 +181,111 @@ class ErrorOverBoxes:
         upper, worst, weight = (
             np.empty(len(which)),
             np.empty(len(which), int),
-            np.empty_like(radius_mm),
+            np.empty_like(radius),
         )
-        # Pieces that stay in the cache: the largest arrays hold a value per corner and neuron.
-        neurons = sum(matrix.shape[2] for matrix in self.layers.weights)
-        step = max(64, _CACHE // (2 ** centre_mm.shape[1] * neurons))
+        # Pieces that stay in the cache: the largest arrays hold a value per corner and symbol.
+        step = max(64, _CACHE // (2 ** centre.shape[1] * self.answers.n_symbols))
         for first in range(0, len(which), step):
             some = slice(first, first + step)
-            residual = self.residual(which[some], centre_mm[some], radius_mm[some])
-            largest, worst[some] = residual.largest()
-            upper[some] = np.fmin(largest + self.slack_mm[which[some]], residual.most_mm)
-            weight[some] = residual.weight_mm
-        corner = centre_mm + corners(centre_mm.shape[1])[worst] * radius_mm
-        return upper, corner[:, None], weight
+            parts = self.residuals(which[some], centre[some], radius[some])
+            corner, most = parts[0].at_corners(), parts[0].most_mm
+            if len(parts) > 1:
+                corner = np.sqrt(sum(part.at_corners() ** 2 for part in parts))
+                most = np.sqrt(sum(part.most_mm**2 for part in parts))
+            worst[some] = corner.argmax(axis=1)
+            apart = np.fmin(corner.max(axis=1) + self.apart_slack[which[some]], most)
+            upper[some] = self._measured(apart)
+            weight[some] = sum(part.weight_mm for part in parts)
+        corners_at = centre + corners(centre.shape[1])[worst] * radius
+        return upper, corners_at[:, None], weight
 
     @np.errstate(all="ignore")
+    def residuals(self, which: Ints, centre: Floats, radius: Floats) -> list[Residual]:
+        """Encloses the residual of each vector over boxes.
+
+        Args:
+            which: The network that each box is for, shape (boxes,).
+            centre: Centres of the boxes, shape (boxes, d).
+            radius: Their half edges, shape (boxes, d).
+        """
+        joints = self.answers.expand(which, centre, radius)
+        first = self.vectors[0]
+        driven = first.driven(joints, centre, radius)  # the same for all of them
+        edges = radius / (self.region.upper_corner - self.region.lower_corner)
+        # A slide's reach is only known as well as the network's answer is.
+        blur = self.apart_slack[which] if first.linkage.slides_at_all else 0.0
+        return [v.residual(driven, centre, radius, edges, blur) for v in self.vectors]
+
+    def _measured(self, apart: Floats) -> Floats:
+        return apart if self.measure == "position" else angle_rad(apart, len(self.vectors))
+
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """A compared vector, and the chain that carries it taken apart."""
+
+    item: Compared
+    linkage: Linkage
+
+    def miss(self, joints: Floats, points: Floats) -> Floats:
+        """The residual at points, shape (points, rows)."""
+        item = self.item
+        driven = np.concatenate([-points[:, item.angles], joints[:, item.outputs]], axis=1)
+        reached = self.linkage.position_mm(driven)[:, item.rows] - item.wanted
+        return reached - points[:, item.inputs] if item.inputs else reached
+
+    def driven(self, joints: Expansion, centre: Floats, radius: Floats) -> Expansion:
+        """The chain's joints over boxes: the opposites of some inputs, then some outputs."""
+        ahead, outputs = list(self.item.angles), list(self.item.outputs)
+        if not ahead and len(outputs) == joints.centre.shape[1]:
+            return joints
+        inputs = np.zeros((*radius.shape, len(ahead)))
+        inputs[:, ahead, range(len(ahead))] = -radius[:, ahead]
+
+        def behind_nothing(rows: Floats) -> Floats:
+            nothing = np.zeros((*rows.shape[:2], len(ahead)))
+            return np.concatenate([nothing, rows[:, :, outputs]], axis=2)
+
+        return replace(
+            joints,
+            centre=np.concatenate([-centre[:, ahead], joints.centre[:, outputs]], axis=1),
+            linear=np.concatenate([inputs, joints.linear[:, :, outputs]], axis=2),
+            quadratic=behind_nothing(joints.quadratic),
+            noise=behind_nothing(joints.noise),
+        )
+
     def residual(
-        self, which: Ints, centre_mm: Floats, radius_mm: Floats, minus_identity: bool = True
+        self,
+        joints: Expansion,
+        centre: Floats,
+        radius: Floats,
+        edges: Floats,
+        blur: Floats | float,
     ) -> Residual:
         """Encloses the residual over boxes.
 
         Args:
-            which: The network that each box is for, shape (boxes,).
-            centre_mm: Centres of the boxes, shape (boxes, d).
-            radius_mm: Their half edges, shape (boxes, d).
-            minus_identity: Whether the inputs are subtracted (else it is the tip's position).
+            joints: The chain's joints.
+            centre: Centres of the boxes, shape (boxes, d).
+            radius: Their half edges, shape (boxes, d).
+            edges: Those as shares of the region's, shape (boxes, d).
+            blur: How far rounding may put the tip off.
         """
-        d = centre_mm.shape[1]
+        d = centre.shape[1]
         first, second = pairs(d)
-        joints = expand(self.layers, which, centre_mm, radius_mm)
         position, jacobian, hessian = self.linkage.jets(joints.centre)
-        rows = list(self.compare.coordinates)
+        rows, inputs = list(self.item.rows), list(self.item.inputs)
         if rows != [0, 1, 2]:
             position, jacobian, hessian = position[rows], jacobian[rows], hessian[rows]
 
         # The jets leave the axis of the coordinates in front, the polynomials have it last.
         gradient = jacobian.transpose(1, 2, 0)
-        centre, linear = position.T, joints.linear @ gradient
-        if minus_identity:
-            inputs = list(self.compare.inputs)
-            centre = centre - centre_mm[:, inputs]
-            linear[:, inputs, range(len(inputs))] -= radius_mm[:, inputs]
+        middle, linear = position.T, joints.linear @ gradient
+        if inputs:
+            middle = middle - centre[:, inputs]
+            linear[:, inputs, range(len(inputs))] -= radius[:, inputs]
+        else:
+            middle = middle - self.item.wanted
         across = joints.linear.transpose(0, 2, 1)
         bent = (joints.linear @ (hessian @ across)).transpose(1, 2, 3, 0)
         quadratic = bent[:, first, second]
@@ -270,41 +310,43 @@ class ErrorOverBoxes:
             small_shifts = self.linkage.shifts_mm(_largest(joints.quadratic, joints.noise))[:, None]
         remainder = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
         remainder += cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
-        weight += self._blame(joints.linear, lengths, remainder, radius_mm)
+        weight += self._blame(joints.linear, lengths, remainder, edges)
         return Residual(
-            centre,
+            middle,
             linear,
             quadratic,
             noise,
             joints.reach,
             joints.one_sided,
             mirrored(remainder),
-            self._most_mm(joints, which, centre_mm, radius_mm),
+            self._most_mm(joints, centre, radius) + blur,
             weight,
         )
 
-    def _most_mm(
-        self, joints: Expansion, which: Ints, centre_mm: Floats, radius_mm: Floats
-    ) -> Floats:
-        """How far the tip can be from the inputs whatever the network answers, shape (boxes,).
+    def _most_mm(self, joints: Expansion, centre: Floats, radius: Floats) -> Floats:
+        """How large the residual can be whatever the network answers, shape (boxes,).
 
         What no joint turns is in one place, the rest no farther from there than it is long; only
         where joints slide it matters by how much.
         """
-        inputs, linkage = list(self.compare.inputs), self.linkage
+        item, linkage = self.item, self.linkage
         vectors = linkage.vectors_at(joints.centre)
-        fixed = vectors[:, 0, list(self.compare.coordinates)]
-        apart = np.abs(fixed - centre_mm[:, inputs]) + np.abs(radius_mm[:, inputs])
-        most = np.sqrt(np.einsum("bk,bk->b", apart, apart))
-        most += np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
+        fixed = vectors[:, 0, list(item.rows)]
+        apart, size = np.abs(fixed - item.wanted), np.abs(fixed) + np.abs(item.wanted)
+        if item.inputs:
+            inputs = list(item.inputs)
+            apart = np.abs(fixed - item.wanted - centre[:, inputs]) + radius[:, inputs]
+            size = size + np.abs(centre[:, inputs])
+        most = np.sqrt(np.einsum("bk,bk->b", apart, apart)) + 1e-12 * size.sum(axis=1)
+        most = most + np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
         if linkage.slides_at_all:
             change = np.abs(joints.linear).sum(axis=1) + _largest(joints.quadratic, joints.noise)
-            most += change @ np.linalg.norm(linkage.slides, axis=2).sum(axis=0)
-            most += self.slack_mm[which]
+            most = most + change @ np.linalg.norm(linkage.slides, axis=2).sum(axis=0)
+        most = np.broadcast_to(most, (len(centre),))
         return np.where(np.isnan(most), np.inf, most * (1.0 + 1e-12))
 
     def _blame(
-        self, linear: Floats, lengths_mm: Floats, remainder_mm: Floats, radius_mm: Floats
+        self, linear: Floats, lengths_mm: Floats, remainder_mm: Floats, edges: Floats
     ) -> Floats:
         """Which edges the remainder is due to, roughly, shape (boxes, d)."""
         # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
@@ -312,7 +354,6 @@ class ErrorOverBoxes:
         whole = turns.sum(axis=1, keepdims=True)
         due = (turns * (lengths_mm * whole**2)).sum(axis=2)
         # Any edge may be to blame for what is not linear, so every edge is halved in the end.
-        edges = radius_mm / (self.region.upper_corner - self.region.lower_corner)
         due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
         due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
         return remainder_mm.max(axis=1)[:, None] * due

@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
+from iksamples.certify.compared import Compared, Measure, angle_rad, compared, target_of
 from iksamples.certify.jets import Linkage
 from iksamples.certify.layers import Layers
+from iksamples.certify.table import Table
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -39,18 +42,41 @@ FLOAT32 = Format(2.0**-24, 2.0**-149, float(np.finfo(np.float32).max))
 FLOAT64 = Format(2.0**-53, 2.0**-1074, float(np.finfo(np.float64).max))
 
 
-def inference_slack_mm(network: StackedMLP, chain: SerialChain, region: Region) -> Floats:
-    """What to add to a certificate where the network itself is evaluated in float32.
+def inference_slack_mm(
+    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
+) -> Floats:
+    """What to add to a position's certificate where the network itself is evaluated in float32.
 
     Args:
         network: Stacked networks.
         chain: The arm, whose forward kinematics is the real arm's and not rounded.
         region: The inputs that it is about.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Returns:
         One bound per network [mm], shape (networks,); infinite where the format overflows.
     """
-    layers, linkage = Layers.of(network), Linkage.of(chain)
+    return _inference_slack(network, chain, region, target, "position")
+
+
+def inference_slack_rad(
+    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
+) -> Floats:
+    """As ``inference_slack_mm``, of an angle's certificate [rad]."""
+    return _inference_slack(network, chain, region, target, "angle")
+
+
+def _inference_slack(
+    network: StackedMLP,
+    chain: SerialChain,
+    region: Region,
+    target: Target | None,
+    measure: Measure,
+) -> Floats:
+    layers = Layers.of(network)
+    target = target or target_of(layers.n_inputs)
+    items = compared(chain, target, measure, layers.n_inputs, layers.n_outputs)
+    arms = [Linkage.of(item.behind()) for item in items]
     n, d = region.lower.shape
     per_axis = max(1, int((_BOXES / n) ** (1.0 / d) + 1e-9))
     share = (np.indices((per_axis,) * d).reshape(d, -1).T + 0.5) / per_axis
@@ -64,28 +90,57 @@ def inference_slack_mm(network: StackedMLP, chain: SerialChain, region: Region) 
         for first in range(0, len(centre), _BATCH):
             some = slice(first, first + _BATCH)
             which = np.full(len(centre[some]), row)
-            bounds = rounding_mm(layers, linkage, which, centre[some], radius[some], FLOAT32)
-            slack[row] = max(slack[row], float(bounds.max()))
-    return slack
+            box = which, centre[some], radius[some], FLOAT32
+            squares = sum(
+                rounding_mm(layers, arm, item.outputs, *box) ** 2
+                for arm, item in zip(arms, items, strict=True)
+            )
+            slack[row] = max(slack[row], float(np.sqrt(squares).max()))
+    return slack if measure == "position" else angle_rad(slack, len(items))
 
 
-def search_slack_mm(layers: Layers, linkage: Linkage, region: Region) -> Floats:
+def stored_slack_mm(
+    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
+) -> Floats:
+    """What half a last place of every stored float64 number can do to the position [mm].
+
+    Args:
+        network: Stacked networks, whose numbers are rounded from others.
+        chain: The arm.
+        region: The inputs that it is about.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+
+    Returns:
+        One bound per network [mm], shape (networks,).
+    """
+    layers = Layers.of(network)
+    target = target or target_of(layers.n_inputs)
+    [item] = compared(chain, target, "position", layers.n_inputs, layers.n_outputs)
+    return search_slack(layers, item, region)
+
+
+def search_slack(answers: Layers | Table, item: Compared, region: Region) -> Floats:
     """What rounding does where the search evaluates networks and arm in float64, shape (networks,).
 
     Args:
-        layers: The networks.
-        linkage: The arm.
+        answers: The networks, or a look-up table.
+        item: What is compared.
         region: The inputs that it is about.
     """
+    linkage = Linkage.of(item.behind())
+    if isinstance(answers, Table):
+        return answers.rounding_mm(linkage, list(item.outputs), region)
     lower, upper = region.lower_corner, region.upper_corner
-    n = layers.n_networks
+    n = answers.n_networks
     centre, radius = np.tile(0.5 * (lower + upper), (n, 1)), np.tile(0.5 * (upper - lower), (n, 1))
-    return rounding_mm(layers, linkage, np.arange(n), centre, radius, FLOAT64, arm_too=True)
+    box = np.arange(n), centre, radius, FLOAT64
+    return rounding_mm(answers, linkage, item.outputs, *box, arm_too=True)
 
 
 def rounding_mm(
     layers: Layers,
     linkage: Linkage,
+    outputs: tuple[int, ...],
     which: Ints,
     centre: Floats,
     radius: Floats,
@@ -108,6 +163,7 @@ def rounding_mm(
     Args:
         layers: The networks.
         linkage: The arm.
+        outputs: The outputs that are its joints.
         which: The network that each box is for, shape (boxes,).
         centre: Centres, shape (boxes, d).
         radius: Half edges, shape (boxes, d).
@@ -145,9 +201,14 @@ def rounding_mm(
                 error = error * (slope + spread)
                 slopes.append((slope, spread))
 
-        along, beside = _arm_slope(linkage, middle, half + error)
-        ranges = np.abs(middle) + half + error
-        total, simply = np.zeros(len(which)), np.sum(linkage.levers_mm(ranges) * error, axis=1)
+        joints = list(outputs)
+        ranges = (np.abs(middle) + half + error)[:, joints]
+        total = np.zeros(len(which))
+        simply = np.sum(linkage.levers_mm(ranges) * error[:, joints], axis=1)
+        along, beside = np.zeros((*middle.shape, 3)), np.zeros(middle.shape)
+        along[:, joints], beside[:, joints] = _arm_slope(
+            linkage, middle[:, joints], (half + error)[:, joints]
+        )
         for depth in reversed(range(len(layers.weights) + 1)):
             part = np.einsum("bi,bik->bk", own[depth], np.abs(along))
             total += np.sqrt(np.einsum("bk,bk->b", part, part)) + np.sum(

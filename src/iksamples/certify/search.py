@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
+from iksamples.certify.compared import Measure
 from iksamples.certify.enclosure import corners
-from iksamples.certify.residual import Comparison, ErrorOverBoxes
+from iksamples.certify.residual import ErrorOverBoxes
+from iksamples.certify.table import Table
 from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
@@ -42,11 +45,15 @@ class Objective(Protocol):
     def n_networks(self) -> int:
         """Number of networks."""
 
-    def values(self, which: Ints, points_mm: Floats) -> Floats:
-        """Values at points, shape (points,)."""
+    @property
+    def slack(self) -> Floats:
+        """How far rounding may put a value off, by network, shape (networks,)."""
+
+    def values(self, which: Ints, points: Floats) -> Floats:
+        """At least the values at points, shape (points,)."""
 
     def upper_bounds(
-        self, which: Ints, centre_mm: Floats, radius_mm: Floats
+        self, which: Ints, centre: Floats, radius: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Upper bounds over boxes, promising points of each, and the weight of each axis.
 
@@ -103,14 +110,15 @@ def certify_sup(
     region: Region,
     *,
     rtol: float = 1e-3,
-    seeds_mm: ArrayLike | None = None,
+    seeds: ArrayLike | None = None,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
     start: Leaves | None = None,
-    compare: Comparison | None = None,
+    target: Target | None = None,
+    measure: Measure = "position",
 ) -> Certificate:
-    """The largest position error of one network over a region, enclosed by branch and bound.
+    """The largest error of one network over a region, enclosed by branch and bound.
 
     Args:
         network: Stacked networks.
@@ -118,13 +126,14 @@ def certify_sup(
         chain: The arm.
         region: The inputs that it is about.
         rtol: The search ends once upper <= (1 + rtol) lower.
-        seeds_mm: Points of the region worth trying, such as the training points, shape (n, in).
+        seeds: Points of the region worth trying, such as the training points, shape (n, in).
         max_boxes: Boxes to bound, at most.
         time_limit_s: Time to spend, at most [s].
         keep_leaves: Whether to keep the boxes of the proof.
         start: Boxes to start from, such as the leaves for a similar network. Many similar networks
             are certified faster together, by ``certify_stack``.
-        compare: What is compared; the first coordinates with the first inputs if None.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+        measure: ``"position"`` [mm] or ``"angle"`` [rad].
 
     Raises:
         IksamplesError: The network has a number that is not finite or an unknown activation, or
@@ -135,44 +144,45 @@ def certify_sup(
         chain,
         region,
         rtol=rtol,
-        seeds_mm=seeds_mm,
+        seeds=seeds,
         max_boxes=max_boxes,
         time_limit_s=time_limit_s,
         keep_leaves=keep_leaves,
         start=start,
-        compare=compare,
+        target=target,
+        measure=measure,
     )
     return certificate
 
 
 def certify_stack(
-    network: StackedMLP,
+    network: StackedMLP | Table,
     chain: SerialChain,
     region: Region,
     *,
     rtol: float = 1e-3,
-    seeds_mm: ArrayLike | None = None,
+    seeds: ArrayLike | None = None,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
     start: Leaves | None = None,
-    compare: Comparison | None = None,
+    target: Target | None = None,
+    measure: Measure = "position",
 ) -> list[Certificate]:
-    """``certify_sup`` for every network of a stack, searched together, which is faster.
+    """``certify_sup`` for every network of a stack, searched together, or for a look-up table.
 
     ``max_boxes`` and ``time_limit_s`` count per network. One certificate per network, in order.
     """
-    objective = ErrorOverBoxes(network, chain, region, compare)
+    objective = ErrorOverBoxes(network, chain, region, target, measure)
     first = None
     if start is not None:
-        if not tiles(start.part, start.lower, start.upper, region.lower.shape):
+        if not tiles(start.part, start.lower, start.upper, objective.region.lower.shape):
             raise IksamplesError("the boxes to start from do not tile the region.")
         first = start.part, start.lower, start.upper - start.lower
     return maximise(
         objective,
         rtol=rtol,
-        slack=objective.slack_mm,
-        seeds_mm=seeds_mm,
+        seeds=seeds,
         max_boxes=max_boxes,
         time_limit_s=time_limit_s,
         keep_leaves=keep_leaves,
@@ -184,8 +194,7 @@ def maximise(
     objective: Objective,
     *,
     rtol: float,
-    slack: Floats,
-    seeds_mm: ArrayLike | None = None,
+    seeds: ArrayLike | None = None,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
@@ -200,8 +209,7 @@ def maximise(
     Args:
         objective: What to maximise.
         rtol: Relative tolerance.
-        slack: How far rounding may put a value off, by network, shape (networks,).
-        seeds_mm: Points of the region worth trying, shape (n, d).
+        seeds: Points of the region worth trying, shape (n, d).
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
         keep_leaves: Whether to keep the leaves.
@@ -209,8 +217,8 @@ def maximise(
             lower corners and edges as shares of that box's.
     """
     began = time.perf_counter()
-    n, region = objective.n_networks, objective.region
-    best, argmax = _first_values(objective, seeds_mm)
+    n, region, slack = objective.n_networks, objective.region, objective.slack
+    best, argmax = _first_values(objective, seeds)
     part, low, edge = first or _first_boxes(region)
     which = np.repeat(np.arange(n), len(low))
     part, low, edge = np.tile(part, n), np.tile(low, (n, 1)), np.tile(edge, (n, 1))
@@ -246,7 +254,7 @@ def maximise(
 
         # Where an enclosure overflowed, the longest edge is as good as any.
         weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, ed)
-        done = bound <= np.maximum((1.0 + rtol) * best, best + 2.0 * slack)[w]
+        done = bound <= np.maximum((1.0 + rtol) * best, best + 3.0 * slack)[w]
         _keep(kept, settled, keep_leaves, w, at, lo, ed, bound, done)
         of, lo, ed = _split(lo[~done], ed[~done], weight[~done], int(wait.sum()))
         w, at, bound = w[~done][of], at[~done][of], bound[~done][of]
@@ -256,13 +264,13 @@ def maximise(
         hopes = np.concatenate([hopes[wait], np.minimum(bound, _NO_BOUND)])
 
     seconds = (time.perf_counter() - began) / n
-    threshold = np.maximum((1.0 + rtol) * best, best + 2.0 * slack)
+    threshold = np.maximum((1.0 + rtol) * best, best + 3.0 * slack)
     # Bounds that meet within more rounding than this have not met.
     fine = np.maximum(rtol * best, _FINE)
     leaves = _gather(kept, n) if keep_leaves else [None] * n
     return [
         Certificate(
-            float(max(best[row] - slack[row], 0.0)),
+            float(best[row]),
             float(max(settled[row], best[row])) if settled[row] < _NO_BOUND else np.inf,
             argmax[row],
             int(boxes[row]),
@@ -274,13 +282,13 @@ def maximise(
     ]
 
 
-def _first_values(objective: Objective, seeds_mm: ArrayLike | None) -> tuple[Floats, Floats]:
+def _first_values(objective: Objective, seeds: ArrayLike | None) -> tuple[Floats, Floats]:
     """The best values at the corners and the seeds, and where."""
     n, region = objective.n_networks, objective.region
     d = region.n_inputs
     points = np.where(corners(d) > 0, region.upper[:, None], region.lower[:, None]).reshape(-1, d)
-    if seeds_mm is not None:
-        seeds = np.array(seeds_mm, float).reshape(-1, d)
+    if seeds is not None:
+        seeds = np.array(seeds, float).reshape(-1, d)
         points = np.concatenate([points, seeds[region.contains(seeds)]])
     best, argmax = np.full(n, -np.inf), np.empty((n, d))
     step = max(1, 65_536 // len(points))

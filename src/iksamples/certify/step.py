@@ -7,12 +7,13 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.certify.checker import Claim, verify
-from iksamples.certify.lookup import certify_table
+from iksamples.certify.compared import Measure
 from iksamples.certify.mean import certify_mean
-from iksamples.certify.residual import Comparison
-from iksamples.certify.search import certify_stack
+from iksamples.certify.search import Certificate, certify_stack
+from iksamples.certify.table import Table
 from iksamples.columns import certificate_columns
 from iksamples.methods.predictor import NotApplicableError
+from iksamples.methods.tensor import tensor_grid
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
@@ -42,18 +43,17 @@ def certify(
     if study.all_methods[method].kind == "network":
         network = StackedMLP.load(folder / "weights.safetensors")
         return certify_networks(study, task, method, samples, network)
-    if task.x.names != ("x", "y", "z"):
-        return _table([], samples)  # cells of tables are bounded for three positions alone
     try:
-        return certify_multilinear(study, task, method, samples)
+        grid = tensor_grid(samples, method)
     except NotApplicableError:
-        return _table([], samples)
+        return _table([], samples, task)
+    return _rows(study, task, method, samples, Table(grid.axes, grid.joints), (0,))
 
 
 def certify_networks(
     study: Study, task: Task, method: str, samples: SampleSet, network: StackedMLP
 ) -> "pd.DataFrame":
-    """Certifies every network of a stack over the study's workspace.
+    """Certifies every network of a stack over the study's region.
 
     Args:
         study: The study.
@@ -63,97 +63,101 @@ def certify_networks(
         network: The networks. One that is not finite gets no row.
 
     Returns:
-        One row per seed, columns as in ``columns.CERTIFICATES``.
+        One row per seed, columns as in ``columns.CERTIFICATES``. A bound that the checker does not
+        prove is missing.
     """
-    compare = compared(task)
     sound = network.select(network.finite_rows())
-    certificates = certify_stack(
-        sound,
-        task.arm,
-        samples.region,
-        rtol=study.bounds.sup_rtol,
-        seeds_mm=samples.positions_mm,
-        keep_leaves=True,
-        compare=compare,
-    )
+    return _rows(study, task, method, samples, sound, sound.seeds)
+
+
+def _rows(
+    study: Study,
+    task: Task,
+    method: str,
+    samples: SampleSet,
+    answers: StackedMLP | Table,
+    seeds: tuple[int, ...],
+) -> "pd.DataFrame":
+    """A row per network, or for a look-up table."""
+    positions = _proved(study, task, samples, answers, "position")
+    angles = _proved(study, task, samples, answers, "angle") if task.turns else None
     rows = []
-    for row, certificate in enumerate(certificates):
-        claim = Claim(
-            sound,
-            row,
-            task.arm,
-            samples.region,
-            certificate.upper,
-            certificate.lower,
-            certificate.argmax,
-            compare,
-        )
-        proof = verify(claim, certificate.leaves)
-        # The checker's own bound holds also where it cannot prove the search's: rounding differs.
-        proved = bool(proof.upper < np.inf)
+    for row, (certificate, lower, upper) in enumerate(positions):
         mean = certify_mean(
-            sound,
+            answers,
             row,
             task.arm,
             samples.region,
             rtol=study.bounds.mean_rtol,
             atol_mm=study.bounds.mean_atol_mm,
-            compare=compare,
+            target=task.target,
         )
+        bounds: dict[str, object] = {"sup_lower_mm": lower, "sup_upper_mm": upper}
+        boxes, seconds, done = certificate.boxes, certificate.seconds, certificate.complete
+        verified = bool(np.isfinite(upper))
+        if angles is not None:
+            turned, *ends = angles[row]
+            # Outward: a degree more or less in the last place.
+            ends = np.degrees(ends) * np.array([1.0 - 2.0**-50, 1.0 + 2.0**-50])
+            bounds |= dict(zip(("angle_lower_deg", "angle_upper_deg"), ends.tolist(), strict=True))
+            boxes, seconds = boxes + turned.boxes, seconds + turned.seconds
+            done, verified = done and turned.complete, verified and bool(np.isfinite(ends[1]))
         rows.append(
             {
-                **_key(method, samples, sound.seeds[row]),
-                "sup_lower_mm": min(certificate.lower, proof.lower),
-                "sup_upper_mm": max(certificate.upper, proof.upper) if proved else np.nan,
+                **_key(method, samples, seeds[row]),
+                **bounds,
                 **_argmax(samples, certificate.argmax),
                 "mean_lower_mm": mean.lower_mm,
                 "mean_upper_mm": mean.upper_mm,
-                "boxes": certificate.boxes,
-                "seconds": certificate.seconds,
-                "complete": certificate.complete,
-                "verified": proved,
+                "boxes": boxes,
+                "seconds": seconds,
+                "complete": done,
+                "verified": verified,
             }
         )
-    return _table(rows, samples)
+    return _table(rows, samples, task)
 
 
-def compared(task: Task) -> Comparison:
-    """The tool's coordinates that are to equal inputs: the positions among these."""
-    positions = task.target.positions
-    return Comparison(positions, tuple(range(len(positions))))
+def _proved(
+    study: Study, task: Task, samples: SampleSet, answers: StackedMLP | Table, measure: Measure
+) -> list[tuple[Certificate, float, float]]:
+    """Certificates with the bounds that the checker has proved, NaN where it has none."""
+    found = certify_stack(
+        answers,
+        task.arm,
+        samples.region,
+        rtol=study.bounds.sup_rtol,
+        seeds=samples.x,
+        keep_leaves=True,
+        target=task.target,
+        measure=measure,
+    )
+    proved = []
+    for row, item in enumerate(found):
+        claim = Claim(
+            answers,
+            row,
+            task.arm,
+            samples.region,
+            item.upper,
+            item.lower,
+            item.argmax,
+            task.target,
+            measure,
+        )
+        proof = verify(claim, item.leaves)
+        # The checker's own bound holds also where it cannot prove the search's: rounding differs.
+        upper = max(item.upper, proof.upper)
+        lower = min(item.lower, proof.lower)
+        proved.append((item, lower, upper if np.isfinite(upper) else np.nan))
+    return proved
 
 
-def certify_multilinear(
-    study: Study, task: Task, method: str, samples: SampleSet
-) -> "pd.DataFrame":
-    """Certifies the table look-up of a full grid: one row, of seed 0, not checked independently.
-
-    Args:
-        study: The study.
-        task: Its task.
-        method: Name of the method, for the table.
-        samples: The grid.
-    """
-    certificate = certify_table(study, task.arm, samples, rtol=study.bounds.sup_rtol)
-    row = {
-        **_key(method, samples, 0),
-        "sup_lower_mm": certificate.lower_mm,
-        "sup_upper_mm": certificate.upper_mm,
-        **_argmax(samples, certificate.argmax_mm),
-        "mean_lower_mm": np.nan,
-        "mean_upper_mm": np.nan,
-        "boxes": certificate.boxes,
-        "seconds": certificate.seconds,
-        "complete": certificate.complete,
-        "verified": False,
-    }
-    return _table([row], samples)
-
-
-def _table(rows: list[dict[str, object]], samples: SampleSet) -> "pd.DataFrame":
+def _table(rows: list[dict[str, object]], samples: SampleSet, task: Task) -> "pd.DataFrame":
     import pandas as pd
 
-    return pd.DataFrame(rows, columns=certificate_columns(samples.space.columns()))
+    columns = certificate_columns(samples.space.columns(), turns=task.turns)
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _argmax(samples: SampleSet, x: Floats) -> dict[str, object]:

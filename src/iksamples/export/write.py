@@ -16,7 +16,6 @@ from iksamples.certify.printing import point, rounded_down, rounded_up
 from iksamples.certify.readers.network import Reading, load_network
 from iksamples.certify.readers.proved import Proved, prove
 from iksamples.certify.readers.units import fed_as, read_as
-from iksamples.certify.residual import Comparison
 from iksamples.errors import IksamplesError
 from iksamples.export.c_source import c_source
 from iksamples.export.choose import Choice
@@ -65,10 +64,8 @@ def export(
             fed=fed_as(task.x.units, input_unit, None, None),
             read=read,
         )
-    positions = task.target.positions
-    compare = Comparison(positions, tuple(range(len(positions))))
     [proved] = prove(
-        reading, task.arm, task.region, compare=compare, rtol=choice.study.bounds.sup_rtol
+        reading, task.arm, task.region, target=task.target, rtol=choice.study.bounds.sup_rtol
     )
     if proved.upper_mm == math.inf:
         raise IksamplesError(

@@ -7,12 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
 from iksamples.certify.checker import Claim, verify
-from iksamples.certify.jets import Linkage
-from iksamples.certify.layers import Layers
 from iksamples.certify.readers.network import Reading
-from iksamples.certify.residual import Comparison
-from iksamples.certify.rounding import inference_slack_mm, search_slack_mm
+from iksamples.certify.rounding import inference_slack_mm, stored_slack_mm
 from iksamples.certify.search import certify_stack
 from iksamples.region import Region
 
@@ -46,7 +44,7 @@ def prove(
     chain: SerialChain,
     region: Region,
     *,
-    compare: Comparison | None = None,
+    target: Target | None = None,
     rtol: float = 1e-3,
     time_limit_s: float = 60.0,
     max_boxes: int = 1_000_000,
@@ -57,20 +55,20 @@ def prove(
         reading: The networks.
         chain: The arm.
         region: The inputs.
-        compare: Which inputs are positions; the first three at most if None.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
         rtol: How closely the bounds are to meet.
         time_limit_s: Time to search, per network [s].
         max_boxes: Boxes to bound, per network.
     """
     network = reading.network
     # Half a unit in the last place of each number is within what plain evaluation rounds.
-    rounding_mm = search_slack_mm(Layers.of(network), Linkage.of(chain), region)
-    allowance_mm = inference_slack_mm(network, chain, region)
+    rounding_mm = stored_slack_mm(network, chain, region, target)
+    allowance_mm = inference_slack_mm(network, chain, region, target)
     found = certify_stack(
         network,
         chain,
         region,
-        compare=compare,
+        target=target,
         rtol=rtol,
         time_limit_s=time_limit_s,
         max_boxes=max_boxes,
@@ -78,7 +76,7 @@ def prove(
     )
     proved = []
     for row, one in enumerate(found):
-        claim = Claim(network, row, chain, region, one.upper, one.lower, one.argmax, compare)
+        claim = Claim(network, row, chain, region, one.upper, one.lower, one.argmax, target)
         # What the checker itself has proved holds, also where the search stated less or more.
         check = verify(claim, one.leaves)
         upper_mm, lower_mm = check.upper, check.lower

@@ -1,0 +1,200 @@
+"""Certified angles, against dense points and SciPy's rotations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from certificate_cases import (
+    check,
+    make_chain,
+    plain_answer,
+    points_in,
+    random_chain,
+    random_network,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from iksamples.arm.target import COORDINATES, Target
+from iksamples.certify.checker import Claim, verify
+from iksamples.certify.rounding import inference_slack_rad
+from iksamples.certify.search import certify_stack, certify_sup
+from iksamples.errors import IksamplesError
+from iksamples.region import Region
+
+
+def reached(chain, joints):
+    """Rotations of the tool, a product of SciPy's rotations about the joints' axes."""
+    total = Rotation.identity(len(joints))
+    for kind, axis, value in zip(chain.joint_kinds, chain.axes, joints.T, strict=True):
+        if kind == "revolute":
+            total = total * Rotation.from_rotvec(value[:, None] * axis)
+    return total * Rotation.from_matrix(chain.tip_rotation)
+
+
+def wanted(target, points):
+    angles = np.zeros((len(points), 3))
+    for k, name in enumerate(target.coordinates):
+        if name in COORDINATES[3:]:
+            angles[:, COORDINATES.index(name) - 3] = points[:, k]
+    return Rotation.from_euler("xyz", angles) * Rotation.from_matrix(target.reference_rotation)
+
+
+def between(network, chain, target, points):
+    """Angles [rad] between what is reached and what is asked for."""
+    joints = plain_answer(network, 0, points)
+    a, b = reached(chain, joints), wanted(target, points)
+    if target.orientation == "fixed":
+        return (a.inv() * b).magnitude()
+    first, second = a.apply([0, 0, 1]), b.apply([0, 0, 1])
+    cross = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.arctan2(cross, np.sum(first * second, axis=1))
+
+
+ASKED = [
+    ("x", "y", "z"),
+    ("x", "y", "yaw"),
+    ("x", "y", "z", "yaw"),
+    ("x", "y", "z", "pitch"),
+    ("x", "y", "z", "roll", "pitch"),
+    ("x", "y", "z", "roll", "pitch", "yaw"),
+]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kinds=st.sampled_from(["RRR", "RRP", "PRR", "RRRR", "RRRRRR"]),
+    asked=st.sampled_from(ASKED),
+    orientation=st.sampled_from(["fixed", "axis"]),
+    activation=st.sampled_from(["relu", "tanh"]),
+)
+def test_no_point_is_turned_further_than_its_bound(seed, kinds, asked, orientation, activation):
+    rng = np.random.default_rng(seed)
+    tool, reference = (Rotation.random(rng=rng).as_matrix() for _ in range(2))
+    chain = replace(random_chain(rng, kinds), tip_rotation=tool)
+    target = Target(asked, orientation, reference)
+    d = len(asked)
+    lower = np.where([name in "xyz" for name in asked], -20.0, -0.4)
+    stack = random_network(
+        rng, (d, 4, len(kinds)), activation, spread=0.3, lower=lower, upper=-lower
+    )
+    region = Region.box(lower, -lower)
+    found = certify_sup(
+        stack, 0, chain, region, rtol=0.1, max_boxes=4000, keep_leaves=True,
+        target=target, measure="angle",
+    )  # fmt: skip
+    points = points_in(rng, lower, -lower, 3000)
+    apart = between(stack, chain, target, points)
+    assert apart.max() <= found.upper
+    at = between(stack, chain, target, found.argmax[None])[0]
+    assert found.lower <= at + 1e-7
+    assert found.lower == pytest.approx(at, abs=1e-5)
+    asked_of = {"target": target, "measure": "angle"}
+    checked = check(found, stack, 0, chain, region, **asked_of)
+    assert checked.verified
+    assert found.upper - 1e-6 < checked.upper
+    lower_claim = float(np.nextafter(checked.upper, 0))
+    assert not check(found, stack, 0, chain, region, upper=lower_claim, **asked_of).verified
+
+
+def pose_chain():
+    """Shoulder, elbow and a wrist whose three axes meet."""
+    return make_chain(
+        "RRRRRR",
+        [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0)],
+        [(0, 0, 0), (0, 0, 90), (0, 0, 290), (200, 0, 290), (200, 0, 290), (200, 0, 290)],
+        (280, 0, 290),
+    )
+
+
+def test_a_chain_that_turns_with_what_is_asked_is_off_by_a_constant():
+    """A SCARA's yaw, roll about the same axis: joint = yaw + 0.3 is off by 0.3 rad everywhere."""
+    chain = make_chain("R", [(0, 0, 1)], [(0, 0, 0)], (100, 0, 0))
+    weights = (np.float32([[[0.0], [0.0], [1.0]]]),)
+    stack = random_network(np.random.default_rng(0), (3, 1), "relu")
+    stack = replace(
+        stack, weights=weights, biases=(np.float32([[0.25]]),), offset_mm=np.zeros(3),
+        scale_mm=np.ones(3),
+    )  # fmt: skip
+    region = Region.box((-50, -50, -1), (50, 50, 1))
+    for orientation, exact in (("fixed", 0.25), ("axis", 0.0)):
+        target = Target(("x", "y", "yaw"), orientation)
+        found = certify_sup(
+            stack, 0, chain, region, keep_leaves=True, target=target, measure="angle"
+        )
+        assert found.lower <= exact <= found.upper
+        assert found.upper - found.lower < 1e-9
+        assert check(found, stack, 0, chain, region, target=target, measure="angle").verified
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-6, 0.3, 1.2, 2.5, 3.1, np.pi])
+def test_angles_up_to_half_a_turn(turn):
+    """A tool held still, asked to be turned: the angle is the turn, however large."""
+    chain = make_chain("RR", [(0, 0, 1), (0, 1, 0)], [(0, 0, 0)] * 2, (10, 0, 0))
+    stack = random_network(np.random.default_rng(0), (2, 3, 2), "relu")
+    for layer in (*stack.weights, *stack.biases):
+        layer[:] = 0
+    axis = np.array([1.0, 2.0, -2.0]) / 3.0
+    region = Region.box((0, 0), (1, 1))
+    rotation = Rotation.from_rotvec(turn * axis)
+    target = Target(("x", "y"), "fixed", rotation.as_matrix())
+    found = certify_sup(stack, 0, chain, region, keep_leaves=True, target=target, measure="angle")
+    assert found.lower <= turn + 1e-12
+    assert turn <= found.upper + 1e-15
+    # Where the sine is flat, rounding shows as its root.
+    assert found.upper - found.lower < (1e-10 if turn < 3.1 else 1e-5)
+    assert check(found, stack, 0, chain, region, target=target, measure="angle").verified
+
+
+def test_forged_angles_are_refused(rng):
+    chain, target = pose_chain(), Target(COORDINATES, "fixed")
+    lower = np.array([150, -50, 200, -0.2, -0.2, -0.2])
+    region = Region.box(lower, lower + np.array([50, 50, 50, 0.4, 0.4, 0.4]))
+    stack = random_network(rng, (6, 5, 6), "tanh", spread=0.3, lower=lower, upper=region.upper[0])
+    asked = {"target": target, "measure": "angle"}
+    found = certify_sup(stack, 0, chain, region, rtol=0.1, keep_leaves=True, **asked)
+    assert check(found, stack, 0, chain, region, **asked).verified
+
+    def holds(**changed):
+        return check(
+            found, stack, 0, **{"chain": chain, "region": region, **asked, **changed}
+        ).verified
+
+    assert not holds(upper=found.lower)
+    assert not holds(lower=found.upper * 1.01)
+    turned = Rotation.from_rotvec([0, 0, 0.05]).as_matrix()
+    assert not holds(chain=replace(chain, tip_rotation=turned), lower=0.0) or not holds(
+        target=Target(COORDINATES, "fixed", turned), lower=0.0
+    )
+    # A tool's matrix that is no rotation is farther from one, and the bound with it.
+    bent = chain.tip_rotation + 0.05 * np.eye(3)
+    assert not holds(chain=replace(chain, tip_rotation=bent), lower=0.0)
+    free = Target(("x", "y", "z"))
+    three = random_network(rng, (3, 5, 6), "tanh")
+    box = Region.box((0, 0, 0), (1, 1, 1))
+    with pytest.raises(IksamplesError, match="orientation"):
+        verify(Claim(three, 0, chain, box, 1.0, target=free, measure="angle"), found.leaves)
+
+
+def test_stacks_and_single_precision_of_angles(rng):
+    chain, target = pose_chain(), Target(COORDINATES, "fixed")
+    lower = np.array([150, -50, 200, -0.2, -0.2, -0.2])
+    upper = lower + np.array([50, 50, 50, 0.4, 0.4, 0.4])
+    region = Region.box(lower, upper)
+    stack = random_network(rng, (6, 5, 6), "relu", n=2, spread=0.3, lower=lower, upper=upper)
+    both = certify_stack(stack, chain, region, rtol=0.1, target=target, measure="angle")
+    slack = inference_slack_rad(stack, chain, region, target)
+    points = points_in(rng, lower, upper, 4000)
+    for row, found in enumerate(both):
+        one = stack.select([row])
+        exact = plain_answer(one, 0, points)
+        assert between(one, chain, target, points).max() <= found.upper
+        hidden = (np.float32(points) - np.float32(one.offset_mm)) / np.float32(one.scale_mm)
+        for depth in range(2):
+            hidden = hidden @ one.weights[depth][0] + one.biases[depth][0]
+            hidden = np.maximum(hidden, 0) if depth == 0 else hidden
+        assert hidden.dtype == np.float32
+        moved = (reached(chain, exact).inv() * reached(chain, np.float64(hidden))).magnitude()
+        assert 0 < moved.max() <= slack[row] < 1e-4
