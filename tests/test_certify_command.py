@@ -130,7 +130,7 @@ def test_a_search_that_is_stopped_ends_with_a_checked_bound(net):
 def test_what_is_not_proved_is_not_said(net, monkeypatch):
     import iksamples.certify.checker as checker
 
-    monkeypatch.setattr(checker, "_largest", lambda *_: np.inf)
+    monkeypatch.setattr(checker._Checks, "largest", lambda *_: np.inf)
     text = certify(
         f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX} {SCALED}", code=1
     )
