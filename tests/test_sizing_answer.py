@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import validate
 
-from iksamples.answer.answer import answer_schema, newest, read_answer, recommend
+from iksamples.answer.answer import Answer, newest, read_answer, recommend
 from iksamples.answer.assess import answer, samples_needed
 from iksamples.answer.collect import variants
 from iksamples.answer.sizes import answer_of, judge
@@ -372,7 +372,9 @@ class TestFile:
 
     def test_it_comes_back_as_it_was_and_follows_its_schema(self, results):
         assert read_answer(results).to_json() == self.answer.to_json()
-        validate(json.loads((results / "answer.json").read_text("utf-8")), answer_schema())
+        validate(
+            json.loads((results / "answer.json").read_text("utf-8")), Answer.model_json_schema()
+        )
 
     def test_recommending_needs_nothing_but_the_file(self, results):
         text = recommend(results)

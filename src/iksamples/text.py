@@ -42,12 +42,7 @@ def described(study: Study, name: str) -> str:
 
 def placed(study: Study, design: str) -> str:
     """Where samples lie, with a space in front; nothing to say where the study has one design."""
-    return "" if len(study.samples.designs) == 1 else f" {placed_as(design)}"
-
-
-def placed_as(design: str) -> str:
-    """Where samples of a design lie: ``on an even grid``."""
-    return _PLACED.get(design, design)
+    return "" if len(study.samples.designs) == 1 else f" {_PLACED.get(design, design)}"
 
 
 def is_paper_recipe(method: Method) -> bool:

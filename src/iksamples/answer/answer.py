@@ -1,11 +1,12 @@
 """The answer: what ``answer.json`` holds, and what is read out of it.
 
-The file is for other programs too, so its layout has a version; ``answer_schema`` describes it.
+The file is for other programs too, so its layout has a version; ``Answer.model_json_schema()``
+describes it.
 Lengths are in millimetres, shares lie between 0 and 1, and null stands for what is not known.
 """
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -195,11 +196,6 @@ class Answer(Part):
         return self.model_dump_json(indent=2) + "\n"
 
 
-def answer_schema() -> dict[str, Any]:
-    """JSON schema of ``answer.json``."""
-    return Answer.model_json_schema()
-
-
 def read_answer(results: str | Path) -> Answer:
     """Reads the answer of a finished study.
 
@@ -271,8 +267,8 @@ def recommend(results: str | Path) -> str:
     rising = sum(not curve.monotone for curve in curves)
     bent = sum(curve.monotone and not curve.convex for curve in curves)
     blocks.append(
-        f"Of {len(curves)} learning curves, {rising} rise somewhere, and {bent} fall, but not ever "
-        "more slowly."
+        f"Ill-behaved learning curves: {rising} of {len(curves)} rise somewhere, {bent} more are "
+        "not convex."
     )
     return "\n\n".join(blocks)
 

@@ -170,7 +170,8 @@ def _confidence(confidence: Confidence) -> str:
     text = f"{percent(confidence.together)} confidence"
     if confidence.n_variants == 1:
         return text
-    return f"{text} for all {confidence.n_variants} variants of networks together"
+    all_of_them = "both" if confidence.n_variants == 2 else f"all {confidence.n_variants}"
+    return f"{text} for {all_of_them} variants of networks together"
 
 
 def _clause(study: Study, one: VariantAnswer) -> str:
