@@ -238,7 +238,7 @@ def test_units_that_are_none_leave_nothing_behind(
 def test_what_is_not_proved_is_not_written(results, tmp_path, monkeypatch):
     import iksamples.certify.checker as checker
 
-    monkeypatch.setattr(checker, "_largest", lambda *_: np.inf)
+    monkeypatch.setattr(checker._Checks, "largest", lambda *_: np.inf)
     with pytest.raises(IksamplesError, match="no bound"):
         export(choose(results), tmp_path / "out")
     assert not (tmp_path / "out").exists()
