@@ -41,6 +41,7 @@ def make_rows(errors, method="network", design="grid", certified=False, lower=No
                 "seed": seed,
                 "error_mm": float(error),
                 "certified": certified,
+                "region_share": 1.0,
                 "attained_mm": float(error if lower is None else lower),
             }
             for m, seeds in errors.items()
@@ -280,6 +281,13 @@ class TestWords:
             "a look-up table of the same samples needs 125 (measured at 8\u202f200 points, not "
             "certified: 1.41 mm).",
         ]
+
+    def test_a_part_of_the_workspace_is_named(self):
+        """What holds over a part of the box alone must not read as if it held over the box."""
+        rows = make_rows({3: met(20), 4: met(20)}).assign(region_share=0.874)
+        found = answer(make_study(), rows)
+        assert found.region_share == 0.874
+        assert "the usable part of the workspace (87.4 % of the box)" in found.headline
 
     def test_what_a_proof_takes_is_said_where_the_best_is_only_measured(self):
         study = make_study(methods={**METHODS, "cubic": {"kind": "cubic"}})

@@ -37,6 +37,7 @@ def trainings(shares, n=200, good=1.0, bad=9.0):
                 "seed": i,
                 "error_mm": good if i < met else bad,
                 "certified": False,
+                "region_share": 1.0,
                 "attained_mm": good if i < met else bad,
             }
             for samples, met in shares.items()
@@ -161,6 +162,7 @@ def outcomes_of(rng, medians, seeds, spread=0.3):
             "seed": np.tile(np.arange(seeds), len(medians)),
             "error_mm": error,
             "certified": False,
+            "region_share": 1.0,
             "attained_mm": error,
         }
     )

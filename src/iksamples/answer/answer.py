@@ -165,6 +165,9 @@ class Answer(Part):
     confidence: Confidence = Field(description="How sure, of all answers together.")
     n_points: int = Field(description="Points at which errors that are not certified are measured.")
     sizes: list[int] = Field(description="Numbers of samples tried.")
+    region_share: float = Field(
+        description="Share of the workspace that the arm can use: everything is over this part."
+    )
     headline: str = Field(description="The answer in one sentence.")
     variants: list[VariantAnswer] = Field(
         description="Every method on every design, in the study's order."

@@ -75,6 +75,7 @@ def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> A
             why = diagnose(study, variant, of_variants, cell, answers, rng)
         sentences = [*told(study, one, confidence), *(cause.text for cause in why)]
         methods.append(one.model_copy(update={"diagnosis": why, "sentences": sentences}))
+    share = float(rows["region_share"].iloc[0])
     return Answer(
         version=VERSION,
         study=study.name,
@@ -83,7 +84,8 @@ def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> A
         confidence=confidence,
         n_points=points_measured(study),
         sizes=sorted({size.n_samples for one in methods for size in one.sizes}),
-        headline=headline(study, methods, confidence),
+        region_share=share,
+        headline=headline(study, methods, confidence, share),
         variants=methods,
         comparisons=_comparisons(study, of_variants),
     )

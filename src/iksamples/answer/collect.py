@@ -163,6 +163,7 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
             "seed": errors["seed"].astype("int64"),
             "diverged": ~sound,
             "region": errors["region"].replace({CUBE: WORKSPACE}).astype(str),
+            "region_share": samples.region_share,
         }
     )
     return rows.join(errors.reindex(columns=[*ERRORS, *ANGLES]).astype(float))

@@ -20,6 +20,7 @@ COLUMNS = (
     "label",
     "n_samples",
     "seed",
+    "region_share",
     "error_mm",
     "certified",
     "attained_mm",

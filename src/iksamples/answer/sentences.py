@@ -54,7 +54,9 @@ _EXTRAPOLATED = (
 _REFUSED = "How many it takes cannot be said: {reason}. Record more first, for example {n}."
 
 
-def headline(study: Study, variants: Sequence[VariantAnswer], confidence: Confidence) -> str:
+def headline(
+    study: Study, variants: Sequence[VariantAnswer], confidence: Confidence, region_share: float
+) -> str:
     """What is required, the variant that needs fewest samples, and what others need.
 
     The exact inverse is a reference and recommended to nobody who asks for samples.
@@ -77,7 +79,7 @@ def headline(study: Study, variants: Sequence[VariantAnswer], confidence: Confid
         for one in best
     ]
     clauses = [_clause(study, one) for one in rest or ([] if best else candidates[:1])]
-    return f"{_asked(study, variants, confidence)}: {'; '.join(lead + clauses)}."
+    return f"{_asked(study, variants, confidence, region_share)}: {'; '.join(lead + clauses)}."
 
 
 def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
@@ -137,6 +139,13 @@ def points_measured(study: Study) -> int:
     return count_waypoints(study.evaluation.paths[where])
 
 
+def _over(region_share: float) -> str:
+    """What everything is over: the workspace, or the part of it that the arm can use."""
+    if region_share == 1:
+        return "the workspace"
+    return f"the usable part of the workspace ({percent(region_share)} of the box)"
+
+
 def _limit(tolerance: Tolerance) -> str:
     """What is allowed: ``2 mm``, or ``2 mm and 1° (1° counts as 2 mm)``."""
     limit = plain_millimetres(tolerance.error_mm)
@@ -146,14 +155,16 @@ def _limit(tolerance: Tolerance) -> str:
     return f"{limit} and {tolerance.angle_deg:g}° (1° counts as {counts})"
 
 
-def _asked(study: Study, variants: Sequence[VariantAnswer], confidence: Confidence) -> str:
+def _asked(
+    study: Study, variants: Sequence[VariantAnswer], confidence: Confidence, region_share: float
+) -> str:
     """What is required, as the head of a sentence."""
     tolerance = study.tolerance
     proved = tolerance.of == "worst" and any(one.shown.certified for one in variants)
     path = tolerance.where != "workspace"
     text = _ASKED["proved" if proved else tolerance.of].format(
         limit=_limit(tolerance),
-        place=f"the path {tolerance.where}" if path else "the workspace",
+        place=f"the path {tolerance.where}" if path else _over(region_share),
         points=_points(study),
         along="along" if path else "in",
     )

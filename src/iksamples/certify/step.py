@@ -182,4 +182,5 @@ def _key(method: str, samples: SampleSet, seed: int) -> dict[str, object]:
         "samples_per_axis": samples.points_per_axis,
         "n_samples": samples.n_samples,
         "seed": seed,
+        "region_share": samples.region_share,
     }

@@ -73,6 +73,11 @@ class SampleSet:
         return round((self.n_samples + self.n_masked) ** (1 / len(self.space)))
 
     @property
+    def region_share(self) -> float:
+        """The region's share of the workspace's volume."""
+        return self.region.volume / float(np.prod(self.space.upper - self.space.lower))
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """One name per joint."""
         return self.joint_space.names
