@@ -6,7 +6,6 @@ import numpy as np
 
 from iksamples.answer.answer import Confidence, Size, VariantAnswer
 from iksamples.evaluation.paths import count_waypoints
-from iksamples.samples.record import N_CORNERS
 from iksamples.study import NETWORK, Study, Tolerance
 from iksamples.text import (
     described,
@@ -135,7 +134,7 @@ def points_measured(study: Study) -> int:
     """Points at which the error that the tolerance is about is measured."""
     where = study.tolerance.where
     if where == "workspace":
-        return study.evaluation.cube_points + N_CORNERS
+        return study.evaluation.cube_points + 2 ** len(study.task.inputs)
     return count_waypoints(study.evaluation.paths[where])
 
 

@@ -10,7 +10,7 @@ from iksamples.arm.inverse import require_usable_lattice
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
-from iksamples.samples.dataset import AXES, SampleSet
+from iksamples.samples.dataset import SampleSet
 from iksamples.study import TENSOR, Design, Study
 from iksamples.task import Task
 
@@ -24,8 +24,6 @@ _DESIGN_STREAM = {name: 100 + i for i, name in enumerate(get_args(Design))}
 _MAX_DRAWS = 1000
 _REGION_POINTS = 4096
 _LATTICE_POINTS = 2200
-N_CORNERS = 2 ** len(AXES)
-"""Corners of a box of positions, which ``region_points`` adds to its Sobol points."""
 
 
 def record_samples(study: Study, task: Task, design: Design, n: int) -> SampleSet:
@@ -236,15 +234,14 @@ def region_points(region: Region, n: int) -> Floats:
 
     Args:
         region: The region.
-        n: Number of Sobol points. The corners of the box around the region are added, those that
-            lie in it.
+        n: Number of Sobol points, to which the corners of the region's largest box are added.
 
     Returns:
-        Inputs [mm or rad], shape (n to n + 2^d, d).
+        Inputs [mm or rad], shape (n + 2^d, d).
     """
-    corners = designs.full_grid(region.lower_corner, region.upper_corner, 2)
-    spread = _sobol(region, n, np.random.default_rng(0))
-    return np.concatenate([corners[region.contains(corners)], spread])
+    largest = int(np.argmax(region.shares))
+    corners = designs.full_grid(region.lower[largest], region.upper[largest], 2)
+    return np.concatenate([corners, _sobol(region, n, np.random.default_rng(0))])
 
 
 def _normalisation(kind: str, x: Floats) -> tuple[Floats, Floats]:
