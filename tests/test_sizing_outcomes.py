@@ -367,6 +367,17 @@ def test_an_angle_counts_as_many_millimetres_as_are_allowed_of_it(results):
     angle = runs.loc[runs["region"] == "workspace", "angle_max_deg"].to_numpy()
     np.testing.assert_allclose(rows["error_mm"], np.fmax(plain["error_mm"], 8 * angle))
     assert not rows["certified"].any()
+    # Where both are proved, the bounds count.
+    certify(results, angle_lower_deg=0.6, angle_upper_deg=0.75)
+    runs = collect(study, results)
+    unknown = outcomes(study, runs.assign(angle_upper_deg=np.nan))
+    assert np.isinf(unknown["error_mm"]).all()  # an angle that nobody measured is no small one
+    proved = on_27(outcomes(study, runs.assign(angle_max_deg=0.5)))
+    np.testing.assert_allclose(
+        proved["error_mm"], np.fmax(1.01 * (5 + np.arange(SEEDS)), 0.75 * 4 / 0.5)
+    )
+    np.testing.assert_allclose(proved["attained_mm"], np.fmax(5 + np.arange(SEEDS), 0.6 * 4 / 0.5))
+    assert proved["certified"].all()
     with pytest.raises(
         IksamplesError, match=r"angle_deg' is of no use with 'task.orientation: free"
     ):

@@ -112,6 +112,8 @@ RUNS: dict[str, Column] = {
     **ANGLES,
     "sup_lower_mm": Column("mm", "proved: an error that is taken in the workspace"),
     "sup_upper_mm": Column("mm", "proved: no position of the workspace has a larger error"),
+    "angle_lower_deg": Column("deg", "proved: an angle that the tool is off by somewhere"),
+    "angle_upper_deg": Column("deg", "proved: nowhere is the tool off by a larger angle"),
     "verified": Column("-", "whether the separate checker proved that; empty bounds where not"),
     "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
     "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),

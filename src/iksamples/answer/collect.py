@@ -26,7 +26,7 @@ WORKSPACE = "workspace"
 """The region that is the whole workspace; every other region is a path, by its name."""
 
 _KEYS = ["method", "label", "seed"]
-_SUP = ["sup_lower_mm", "sup_upper_mm"]
+_SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]
 _ROUNDING = 1e-4
 """Errors over the workspace are kept in single precision."""
@@ -171,7 +171,9 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
 
 def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":
     """The certificates' columns, ready to be joined to the rows of the workspace."""
-    table = certificates[[*_KEYS, *_SUP, *_MEAN, "verified"]].assign(region=WORKSPACE)
+    # There are no angles where the tool's orientation is not asked for.
+    table = certificates.reindex(columns=[*_KEYS, *_SUP, *_MEAN, "verified"])
+    table["region"] = WORKSPACE
     # A file without any certificate has no types.
     return table.astype(dict.fromkeys([*_SUP, *_MEAN], "float64")).astype(
         {"verified": "bool", "seed": "int64"}
@@ -180,12 +182,13 @@ def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":
 
 def _require_agreement(rows: "pd.DataFrame") -> None:
     """No error was measured above its bound."""
-    broken = rows[rows["error_max_mm"] > rows["sup_upper_mm"] * (1 + _ROUNDING)]
-    if len(broken):
-        first = broken.iloc[0]
-        raise IksamplesError(
-            f"{first['method']} on {first['label']}, seed {first['seed']}: measured "
-            f"{first['error_max_mm']:.4g} mm, above its certified bound "
-            f"{first['sup_upper_mm']:.4g} mm. The certificates are not of these networks; delete "
-            f"{first['method']}/certificates.csv and run again."
-        )
+    for measured, bound in (("error_max_mm", "sup_upper_mm"), ("angle_max_deg", "angle_upper_deg")):
+        broken = rows[rows[measured] > rows[bound] * (1 + _ROUNDING)]
+        if len(broken):
+            first, unit = broken.iloc[0], bound.rpartition("_")[2]
+            raise IksamplesError(
+                f"{first['method']} on {first['label']}, seed {first['seed']}: measured "
+                f"{first[measured]:.4g} {unit}, above its certified bound {first[bound]:.4g} "
+                f"{unit}. The certificates are not of these networks; delete "
+                f"{first['method']}/certificates.csv and run again."
+            )

@@ -41,18 +41,13 @@ def is_certifiable(tolerance: Tolerance) -> bool:
     return tolerance.of == "worst" and tolerance.where == WORKSPACE
 
 
-def measured_column(tolerance: Tolerance) -> str:
-    """Column of ``errors.parquet`` that measures what the tolerance is about."""
-    return f"error_{'max' if tolerance.of == 'worst' else tolerance.of}_mm"
-
-
 def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     """One row for each training, with the error that the study's tolerance is about.
 
     For the worst case over the workspace that is the proved upper bound where there is one, and
     else the largest error measured, which is less than the true worst case. Everything else is
-    measured, angles too; where the tolerance has one, a degree counts as so many millimetres that
-    both are allowed as much. A training that diverged has an infinite error: it failed.
+    measured. Where the tolerance has an angle, a degree counts as so many millimetres that both are
+    allowed as much. A training that diverged has an infinite error: it failed.
 
     Args:
         study: The study; its ``tolerance`` says which error.
@@ -65,19 +60,22 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     """
     tolerance = study.tolerance
     rows = runs[runs["region"] == tolerance.where].reset_index(drop=True)
-    measured = rows[measured_column(tolerance)].where(~rows["diverged"], np.inf)
-    rows["error_mm"] = rows["attained_mm"] = measured
-    rows["certified"] = is_certifiable(tolerance) & rows["verified"] & (not tolerance.angle_deg)
-    if is_certifiable(tolerance):
-        rows["error_mm"] = rows["sup_upper_mm"].fillna(measured)
-        rows["attained_mm"] = np.fmin(np.fmax(measured, rows["sup_lower_mm"]), rows["sup_upper_mm"])
+    statistic = "max" if tolerance.of == "worst" else tolerance.of
+    # What is measured, what of it is proved, and millimetres for each unit of it.
+    parts = [(f"error_{statistic}_mm", "sup_lower_mm", "sup_upper_mm", 1.0)]
     if tolerance.angle_deg:
         # Both are met where the larger of the two, each over what is allowed of it, is at most one.
-        column = measured_column(tolerance).replace("error", "angle").replace("_mm", "_deg")
-        turned = rows[column] * (tolerance.error_mm / tolerance.angle_deg)
-        turned = turned.where(~rows["diverged"], np.inf)
-        rows["error_mm"] = np.fmax(rows["error_mm"], turned)
-        rows["attained_mm"] = np.fmax(rows["attained_mm"], turned)
+        mm_per_deg = tolerance.error_mm / tolerance.angle_deg
+        parts.append((f"angle_{statistic}_deg", "angle_lower_deg", "angle_upper_deg", mm_per_deg))
+    rows[["error_mm", "attained_mm"]] = -np.inf
+    rows["certified"] = is_certifiable(tolerance)
+    for measured, lower, upper, mm in parts:
+        seen = rows[measured].where(~rows["diverged"], np.inf).fillna(np.inf)
+        proved = rows[upper].notna() & is_certifiable(tolerance)
+        attained = seen.clip(lower=rows[lower].fillna(0)).clip(upper=rows[upper].fillna(np.inf))
+        rows["error_mm"] = np.fmax(rows["error_mm"], mm * rows[upper].where(proved, seen))
+        rows["attained_mm"] = np.fmax(rows["attained_mm"], mm * attained.where(proved, seen))
+        rows["certified"] &= proved
     return rows[list(COLUMNS)]
 
 
