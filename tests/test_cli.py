@@ -69,6 +69,13 @@ def test_what_is_not_there_is_named_without_a_traceback(command, tmp_path, argum
     assert not (tmp_path / "out").exists()
 
 
+def test_a_disk_that_cannot_be_written_is_a_line(command, tmp_path):
+    (tmp_path / "taken").write_text("a file where a folder is to be")
+    done = run(command, "samples", "config/config.yaml", "-o", tmp_path / "taken/samples")
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert done.stderr.startswith(f"Error: {tmp_path}/taken")
+
+
 def test_a_set_that_is_not_in_the_study_is_named(command, tmp_path):
     done = run(command, "samples", "config/config.yaml", "--name", "grid9", "-o", tmp_path / "x")
     assert done.returncode == 2

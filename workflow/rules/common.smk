@@ -62,6 +62,8 @@ def lock_this_folder():
         LOCK.acquire(timeout=0)
     except Timeout:
         stop("another run is working in this folder; wait for it or stop it.")
+    except OSError as error:
+        stop(f"cannot write into this folder, {os.getcwd()} ({error.strerror}).")
 
 
 def write_study():

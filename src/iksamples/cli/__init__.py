@@ -23,6 +23,11 @@ def main() -> None:
             err=True,
         )
         sys.exit(2)
+    except OSError as error:
+        # A full disk, a folder that may not be written to.
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"Error: {where}{error.strerror or error}.", err=True)
+        sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():
             typer.echo(f"Error: {line}", err=True)

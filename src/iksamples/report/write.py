@@ -4,7 +4,6 @@ import base64
 import hashlib
 import json
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -95,15 +94,18 @@ def write_report(
     body = markdown.to_html(text, pictures.inline())
     body = body.replace("<!-- viewer -->", _viewer(values["paths"]["scene"]))
 
-    output.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=output) as folder:
-        draft = Path(folder)
+    draft = output / ".unfinished"
+    shutil.rmtree(draft, ignore_errors=True)  # what a kill left
+    draft.mkdir(parents=True)
+    try:
         pictures.save(draft / "figures")
         (draft / "index.html").write_text(page(title, body), encoding="utf-8")
         (draft / "README.md").write_text(readme, encoding="utf-8")
         shutil.rmtree(output / "figures", ignore_errors=True)
         for name in ("figures", "README.md", "index.html"):
             (draft / name).replace(output / name)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def page(title: str, body: str) -> str:
