@@ -21,6 +21,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import track_paths
 from iksamples.evaluation.paths import waypoints
 from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
+from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.recording.colours import blues
 from iksamples.recording.record import record_path
@@ -339,7 +340,8 @@ def proved(small: Study, results: list[Cell], chain: SerialChain) -> Cell:
         cell.folder / "errors.parquet"
     )
     members = pd.DataFrame({"seed": SEEDS, "diverged": False})
-    members.to_parquet(cell.folder / "members.parquet")
+    with kept_file(cell.folder / "members.parquet") as file:
+        members.to_parquet(file)
     for name, table in map_cell(small, study_task(small), cell).items():
         table.to_parquet(cell.folder / f"{name}.parquet")
     proofs = certify(small, study_task(small), cell.method, cell.samples, cell.folder)

@@ -19,6 +19,7 @@ import pytest
 from iksamples.columns import CERTIFICATES
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
+from iksamples.files import kept_file
 from iksamples.network import StackedMLP
 from iksamples.paper.audit import audit
 from iksamples.paper.table import study_table
@@ -399,7 +400,8 @@ def test_a_diverged_seed_has_no_numbers_that_are_none(
     members.loc[members["seed"] == 5, ["diverged", "test_loss_rad2"]] = [True, np.nan]
     history.loc[(history["seed"] == 5) & (history["epoch"] > 9), "train_loss_rad2"] = np.inf
     for name, table in (("errors", errors), ("members", members), ("history", history)):
-        table.to_parquet(results[0].folder / f"{name}.parquet")
+        with kept_file(results[0].folder / f"{name}.parquet") as file:
+            table.to_parquet(file)
     write_table(small, results)
     log(small, results)
     runs = runs_by_key(uri)
@@ -416,7 +418,8 @@ def test_a_diverged_seed_has_no_numbers_that_are_none(
 def test_early_stopped_curves_end_where_they_end(small: Study, results: list[Cell]) -> None:
     history = results[0].table("history")
     history = history[(history["seed"] != 4) | (history["epoch"] <= 7)]
-    history.to_parquet(results[0].folder / "history.parquet")
+    with kept_file(results[0].folder / "history.parquet") as file:
+        history.to_parquet(file)
     contents = {
         run.key: run for run in study_runs(small, results, results[0].results / "table.csv")
     }
