@@ -1,6 +1,7 @@
 """The report's parts: text that stays text, tables, lines, and what a study differs in."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from iksamples.report.views import Strokes, error_map, plans
 from iksamples.study import Method, parse_study
 
 
+ROOT = Path(__file__).parents[1]
 PRINTED = st.text(st.characters(blacklist_categories=["Cc", "Cs", "Zs", "Zl", "Zp"]), min_size=1)
 """Text without blanks, which HTML is free to join."""
 
@@ -216,3 +218,13 @@ def test_benchmark_files_are_read_job_by_job(tmp_path) -> None:
     assert table["max_rss_mb"].max() == 500.5
     assert table["max_rss_mb"].isna().sum() == 1
     assert read_benchmarks(tmp_path / "none").empty
+
+
+@pytest.mark.parametrize(
+    "file", [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *ROOT.glob("docs/**/*.md")], ids=str
+)
+def test_links_between_the_files_kept_resolve(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)\s#]+)[^)]*\)", re.sub(r"`[^`]*`", "", text))
+    for link in links:
+        assert "://" in link or (file.parent / link).exists(), link
