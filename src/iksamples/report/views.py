@@ -173,7 +173,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
     titles = list(dict.fromkeys(slices["slice"]))
     figure, axes = style.panels(
         1, len(titles), 3.25, 9.2 if len(titles) > 1 else 4.6, sharey=True, wspace=0.12,
-        left=0.06 if len(titles) > 1 else 0.13, right=0.93 if len(titles) > 1 else 0.86, top=0.9,
+        left=0.08 if len(titles) > 1 else 0.16, right=0.93 if len(titles) > 1 else 0.86, top=0.9,
     )  # fmt: skip
     levels = MaxNLocator(10).tick_values(0.0, float(slices["error_mm"].max()))
     for axis, title in zip(axes[0], titles, strict=True):
