@@ -34,6 +34,7 @@ ROOT = Path(__file__).parents[1]
 EVIL = "<img src=x onerror=alert(1)> [t](http://t.invalid) | *b*"
 SMALL: dict[str, Any] = {
     "name": "small",
+    "paper": True,
     "title": f"A small study {EVIL}",
     "samples": {"points_per_axis": [2, 3, 5]},
     "training": {"seeds": 7, "epochs": 60},

@@ -249,7 +249,7 @@ def test_files_are_laid_over_one_another(tmp_path):
 
 def test_the_papers_study_file_says_what_the_defaults_say():
     written = read_study("config/config.yaml")
-    unsaid = Study(name="paper")
+    unsaid = Study(name="paper", paper=True)
     said = {"methods", "title", "evaluation"}
     assert written.model_dump(exclude=said) == unsaid.model_dump(exclude=said)
     task = study_task(unsaid)

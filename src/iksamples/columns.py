@@ -37,6 +37,10 @@ TABLE: dict[str, Column] = {
     "paper_error_sd_mm": Column("mm", "its ± in the paper's Table 1"),
     "paper_estimate_mm": Column("mm", "estimate in the paper's Table 1"),
     "paper_error_over_spacing": Column("-", "e/d in the paper's Table 1"),
+    "reading_error_mm": Column(
+        "mm", "mean error of the reading of the paper that comes nearest to its Table 1"
+    ),
+    "reading_error_sd_mm": Column("mm", "its standard deviation over seeds"),
     "wbar_for_paper": Column("-", "average weight that Eq. 25 needs to give the paper's estimate"),
     **{f"cube_{name}": column for name, column in _OVER_SEEDS.items()},
 }

@@ -171,3 +171,4 @@ wildcard_constraints:
     samples="|".join(LABELS),
     method="|".join(STUDY.all_methods),
     path="|".join(STUDY.evaluation.paths),
+    part=r"\d+",

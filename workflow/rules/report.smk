@@ -15,7 +15,11 @@ rule report:
     """Build the report."""
     input:
         runs="results/{study}/runs.parquet",
-        paper=multiext("results/{study}/", "table.csv", "claims.csv"),
+        paper=(
+            multiext("results/{study}/", "table.csv", "claims.csv")
+            if STUDY.paper
+            else []
+        ),
         answer="results/{study}/answer.json",
         replication=(
             "results/{study}/replication.json" if STUDY.replication.seeds else []

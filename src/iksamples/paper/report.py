@@ -1,6 +1,5 @@
 """The report's section on the paper: its Table 1, its claims and its estimate beside this study."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ import pandas as pd
 from iksamples.files import checked
 from iksamples.paper.audit import scale_mm
 from iksamples.paper.evidence import AVERAGE_NAMES
+from iksamples.paper.table import kept_reading
 from iksamples.report import style
 from iksamples.report.data import ReportData
 from iksamples.report.figures import lines
@@ -21,11 +21,6 @@ TEMPLATE = "paper.md.j2"
 
 _N, _ERROR = "number of samples", "mean position error [mm]"
 _NO_RECIPE = {"seeds", "first_seed", "snapshots", "engine", "accelerator"}
-
-
-def is_of_the_paper(results: Path) -> bool:
-    """Whether a study was held against the paper."""
-    return (results / TABLE).exists()
 
 
 def values(data: ReportData) -> dict[str, Any]:
@@ -57,6 +52,7 @@ def values(data: ReportData) -> dict[str, Any]:
         "claims": claims,
         "verdicts": claims["Verdict"].value_counts().to_dict(),
         "one": _table_one(table),
+        "contradicted": kept_reading()["contradicts"],
         "beside": _beside(data, table),
         "averages": AVERAGE_NAMES,
         "chosen": study.bounds.average_weight,
@@ -77,12 +73,14 @@ def values(data: ReportData) -> dict[str, Any]:
 
 def _table_one(table: pd.DataFrame) -> pd.DataFrame:
     """Table 1 with this study's columns beside the paper's."""
-    pairs = {"Paper [mm]": "paper_error", "Here [mm]": "error"}
+    pairs = {
+        "Paper [mm]": "paper_error",
+        "Here [mm]": "error",
+        "Nearest reading [mm]": "reading_error",
+    }
     columns: dict[str, Any] = {"Samples": table["n_samples"], "d [mm]": table["spacing_mm"]}
     for title, prefix in pairs.items():
-        mean = f"{prefix}_mm" if prefix == "paper_error" else f"{prefix}_mean_mm"
-        if mean not in table:
-            continue
+        mean = f"{prefix}_mean_mm" if prefix == "error" else f"{prefix}_mm"
         columns[title] = [
             plus_minus(*row) for row in table[[mean, f"{prefix}_sd_mm"]].to_numpy(float)
         ]

@@ -1,8 +1,9 @@
 """The study's table: one row per grid, beside the paper's Table 1."""
 
+import json
 from collections.abc import Iterable
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +34,29 @@ def paper_table() -> "pd.DataFrame":
     )
 
 
+def kept_reading() -> dict[str, Any]:
+    """The reading that comes nearest to the paper's Table 1, as ``readings.best_reading`` left it.
+
+    Returns:
+        ``options`` (the option of each question), ``contradicts`` (the questions answered against
+        the paper's words), ``first_seed``, and ``rows`` with the columns ``readings.ROWS``.
+    """
+    found: dict[str, Any] = json.loads(
+        files("iksamples.paper").joinpath("reading.json").read_text()
+    )
+    return found
+
+
+def reading_table() -> "pd.DataFrame":
+    """The rows of that reading, indexed by samples_per_axis."""
+    import pandas as pd
+
+    rows = pd.DataFrame(kept_reading()["rows"])
+    rows.index = pd.Index(np.cbrt(rows["n_samples"]).round().astype(int), name="samples_per_axis")
+    names = {"error_mean_mm": "reading_error_mm", "error_sd_mm": "reading_error_sd_mm"}
+    return rows[list(names)].rename(columns=names)
+
+
 def study_table(
     study: Study, cells: Iterable[Cell], certificates: "pd.DataFrame"
 ) -> "pd.DataFrame":
@@ -52,7 +76,7 @@ def study_table(
     """
     import pandas as pd
 
-    published = paper_table()
+    published = paper_table().join(reading_table())
     first_path = next(iter(study.evaluation.paths))
     rows = []
     for cell in cells:

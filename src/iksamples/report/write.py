@@ -93,13 +93,24 @@ def write_report(
     readme, text = (markdown.tidy(template.render(values, page=one)) for one in (False, True))
     body = markdown.to_html(text, pictures.inline())
     body = body.replace("<!-- viewer -->", _viewer(values["paths"]["scene"]))
+    save(output, readme, page(title, body), pictures)
 
+
+def save(output: Path, readme: str, html: str, pictures: Pictures) -> None:
+    """Writes a report's files, all of them or none.
+
+    Args:
+        output: Folder that gets ``README.md``, ``index.html`` and ``figures/``.
+        readme: Markdown.
+        html: The page.
+        pictures: What the two show.
+    """
     draft = output / ".unfinished"
     shutil.rmtree(draft, ignore_errors=True)  # what a kill left
     draft.mkdir(parents=True)
     try:
         pictures.save(draft / "figures")
-        (draft / "index.html").write_text(page(title, body), encoding="utf-8")
+        (draft / "index.html").write_text(html, encoding="utf-8")
         (draft / "README.md").write_text(readme, encoding="utf-8")
         shutil.rmtree(output / "figures", ignore_errors=True)
         for name in ("figures", "README.md", "index.html"):
@@ -164,7 +175,7 @@ def _paper(environment: Environment, data: Any, pictures: Pictures) -> Markup:
     """The sections of a study that was held against the paper; else nothing."""
     from iksamples.paper import report as paper
 
-    if not paper.is_of_the_paper(data.results):
+    if not data.study.paper:
         return Markup("")
     template = environment.get_template(paper.TEMPLATE)
     return Markup(template.render(paper.values(data), figure=pictures))

@@ -21,6 +21,7 @@ from iksamples.study.paths import (
     Lemniscate,
 )
 from iksamples.study.reading import parse_study, read_study
+from iksamples.study.readings import Readings
 from iksamples.study.robot import POSITIONS, Asked, Coordinate, Robot, Workspace
 from iksamples.study.samples import DRAWN, TENSOR, Design, Samples
 from iksamples.study.section import Limits, Section, Vector3
@@ -51,6 +52,7 @@ __all__ = [
     "Method",
     "MethodKind",
     "Network",
+    "Readings",
     "Replication",
     "Robot",
     "Samples",

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import Field, field_serializer, model_validator
 
 from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
+from iksamples.study.readings import Readings
 from iksamples.study.robot import Asked, Robot, Workspace
 from iksamples.study.samples import TENSOR, Samples, grid_shape
 from iksamples.study.section import Name, Section, StudyName, without_password
@@ -54,6 +55,16 @@ class Study(Section):
     tolerance: Tolerance = Tolerance()
     replication: Replication = Replication()
     tracking: Tracking = Tracking()
+    paper: bool = Field(
+        False,
+        description="Whether this is the paper's own case (arXiv 2605.23583): its bounds, its "
+        "claims and its Table 1 are held against the results.",
+    )
+    readings: Readings | None = Field(
+        None,
+        description="Search for the reading of the paper that gives its Table 1, and nothing else; "
+        "null: an ordinary study.",
+    )
 
     @model_validator(mode="before")
     @classmethod

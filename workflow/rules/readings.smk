@@ -1,0 +1,93 @@
+"""
+Readings: which reading of the paper gives its Table 1; for a study with a `readings` section.
+
+OUTPUTS
+    results/<study>/search/<part>.csv   readings drawn at random, a row per reading and grid
+    results/<study>/fresh/<part>.csv    the best of them again, with seeds of their own
+    results/<study>/readings.csv        those, ranked; and best.json
+    reports/<study>/index.html          which words of the paper must be wrong; README.md
+"""
+
+
+def reading_settings(*names):
+    """Those settings of the section."""
+    return STUDY.readings.model_dump_json(include=set(names))
+
+
+rule search:
+    """Train one part of the readings."""
+    input:
+        urdf=STUDY.robot.urdf,
+    output:
+        "results/{study}/search/{part}.csv",
+    log:
+        "results/{study}/logs/search/{part}.log",
+    benchmark:
+        "results/{study}/benchmarks/search/{part}.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=reading_settings("count", "seed", "seeds", "jobs"),
+        code=source_digest("iksamples.paper.readings"),
+    shell:
+        '"$IKSAMPLES_PYTHON" -P -m iksamples readings search {params.study:q} --part {wildcards.part} --output {output:q}'
+        " 2> >(tee {log:q} >&2)"
+
+
+rule confirm:
+    """Train one part of the best readings again, with fresh seeds."""
+    input:
+        urdf=STUDY.robot.urdf,
+        searched=expand(
+            "results/{{study}}/search/{part}.csv", part=range(STUDY.readings.jobs)
+        ),
+    output:
+        "results/{study}/fresh/{part}.csv",
+    log:
+        "results/{study}/logs/confirm/{part}.log",
+    benchmark:
+        "results/{study}/benchmarks/confirm/{part}.jsonl"
+    params:
+        study="results/{study}/study.json",
+        settings=reading_settings("best", "fresh_seeds", "jobs"),
+        code=source_digest("iksamples.paper.readings"),
+    shell:
+        '"$IKSAMPLES_PYTHON" -P -m iksamples readings confirm {params.study:q} {input.searched:q} --part {wildcards.part}'
+        " --output {output:q} 2> >(tee {log:q} >&2)"
+
+
+rule rank:
+    """Rank the readings by their fresh networks."""
+    input:
+        expand("results/{{study}}/fresh/{part}.csv", part=range(STUDY.readings.jobs)),
+    output:
+        ranked="results/{study}/readings.csv",
+        best="results/{study}/best.json",
+    log:
+        "results/{study}/logs/rank.log",
+    params:
+        code=source_digest("iksamples.paper.readings"),
+    shell:
+        '"$IKSAMPLES_PYTHON" -P -m iksamples readings rank {input:q} --output {output.ranked:q}'
+        " --best {output.best:q} 2> >(tee {log:q} >&2)"
+
+
+rule page:
+    """Say which of the paper's words must be wrong."""
+    input:
+        expand("results/{{study}}/search/{part}.csv", part=range(STUDY.readings.jobs)),
+        "results/{study}/readings.csv",
+    output:
+        html=report("reports/{study}/index.html", category="Report"),
+        markdown="reports/{study}/README.md",
+        figures=directory("reports/{study}/figures"),
+    log:
+        "results/{study}/logs/page.log",
+    params:
+        study="results/{study}/study.json",
+        title=STUDY.title,
+        code=source_digest("iksamples.paper.readings_page"),
+        results="results/{study}",
+        folder=subpath(output.html, parent=True),
+    shell:
+        '"$IKSAMPLES_PYTHON" -P -m iksamples readings report {params.study:q} --results {params.results:q}'
+        " --output {params.folder:q} 2> >(tee {log:q} >&2)"
