@@ -1,5 +1,7 @@
 """Runs in MLflow, read back with MLflow's own client."""
 
+import getpass
+import io
 import json
 import os
 import shutil
@@ -9,27 +11,25 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from iksamples.answer.collect import collect
 from iksamples.columns import CERTIFICATES
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
-from iksamples.files import kept_file
 from iksamples.network import StackedMLP
-from iksamples.paper.audit import audit
-from iksamples.paper.table import study_table
+from iksamples.paper.table import paper_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, Tracking, parse_study
 from iksamples.study.section import without_password
 from iksamples.task import study_task
-from iksamples.tracking.content import STUDY_KEY, study_runs
-from iksamples.tracking.store import Outcome, connect
+from iksamples.tracking.store import Outcome, connect, owner
 from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_uri
 
 
@@ -41,7 +41,8 @@ os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
 ROOT = Path(__file__).parents[1]
 SEEDS = (3, 4, 5)
 EPOCHS = 250
-RUNS = 1 + 2 + 2 * len(SEEDS)
+RUNS = 1 + 1 + 2  # the paper's, the network's, its sizes'
+PARENT = "mlflow.parentRunId"
 
 
 @pytest.fixture(scope="session")
@@ -71,6 +72,7 @@ def small(uri: str) -> Study:
     return parse_study(
         {
             "name": "small",
+            "paper": True,
             "tracking": {"uri": uri},
             "robot": {"urdf": str(ROOT / "config/robots/rrr70.urdf")},
             "samples": {"points_per_axis": [2, 3]},
@@ -126,17 +128,12 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             "history": history,
             "members": members,
             "errors": summarise(waypoints, cube),
-            "bounds": audit(small, samples, network, cube),
         }
         for name, table in tables.items():
             table.to_parquet(cell.folder / f"{name}.parquet")
-    write_table(small, made)
-    return made
-
-
-def write_table(study: Study, made: list[Cell]) -> None:
     no_proofs = pd.DataFrame(columns=list(CERTIFICATES))
-    study_table(study, made, no_proofs).to_csv(made[0].results / "table.csv", index=False)
+    no_proofs.to_csv(made[0].results / "network" / "certificates.csv", index=False)
+    return made
 
 
 def at(study: Study, uri: str | None) -> Study:
@@ -144,186 +141,213 @@ def at(study: Study, uri: str | None) -> Study:
 
 
 def log(study: Study, made: list[Cell]) -> tuple[Outcome, dict]:
-    manifest = made[0].results / "tracking.json"
-    outcome = track(study, made, made[0].results / "table.csv", manifest)
-    return outcome, json.loads(manifest.read_text())
+    folder = made[0].results
+    collect(study, folder).to_parquet(folder / "runs.parquet")
+    outcome = track(study, folder, folder / "tracking.json")
+    return outcome, json.loads((folder / "tracking.json").read_text())
 
 
-def runs_by_key(uri: str, experiment: str = "small") -> dict:
-    """Every active run of an experiment; fails where two have one key."""
+def all_runs(uri: str, experiment: str = "small") -> list:
+    """Every active run of an experiment."""
     client = connect(uri)
     found = client.get_experiment_by_name(experiment)
-    runs = client.search_runs([found.experiment_id], max_results=1000)
-    by_key = {run.data.tags["iksamples.key"]: run for run in runs}
-    assert len(by_key) == len(runs)
-    return by_key
+    return list(client.search_runs([found.experiment_id], max_results=1000))
+
+
+def current(uri: str, experiment: str = "small") -> dict:
+    """The current runs by name; fails where two have one name."""
+    runs = [r for r in all_runs(uri, experiment) if r.data.tags["iksamples.current"] == "true"]
+    by_name = {run.info.run_name: run for run in runs}
+    assert len(by_name) == len(runs)
+    return by_name
+
+
+def change(made: list[Cell], add_mm: float) -> None:
+    """Other errors of one seed on the larger grid."""
+    errors = made[1].table("errors")
+    errors.loc[errors["seed"] == 4, [c for c in errors if c.startswith("error_")]] += add_mm
+    errors.to_parquet(made[1].folder / "errors.parquet")
 
 
 def test_a_study_is_a_tree_of_runs(small: Study, results: list[Cell], uri: str) -> None:
     outcome, manifest = log(small, results)
-    runs = runs_by_key(uri)
+    runs = current(uri)
     assert len(runs) == outcome.logged == RUNS
-    assert manifest["runs"] == {key: run.info.run_id for key, run in runs.items()}
+    assert manifest["runs"] == {name: run.info.run_id for name, run in runs.items()}
     assert {run.info.status for run in runs.values()} == {"FINISHED"}
-    parent = "mlflow.parentRunId"
-    assert parent not in runs[STUDY_KEY].data.tags
+    assert PARENT not in runs["network"].data.tags
     for m in (2, 3):
-        grid = runs[f"network/grid{m}"]
-        assert grid.data.tags[parent] == runs[STUDY_KEY].info.run_id
-        for seed in SEEDS:
-            child = runs[f"network/grid{m}/seed{seed}"]
-            assert child.data.tags[parent] == grid.info.run_id
-            # MLflow filters parents and children apart from each other.
-            assert child.data.params.items() >= grid.data.params.items()
-            assert child.data.params["seed"] == str(seed)
-    shown = {"n_samples": "27", "samples_per_axis": "3", "hidden": "16", "learning_rate": "0.001"}
-    assert runs["network/grid3/seed4"].data.params.items() >= shown.items()
-    assert runs[STUDY_KEY].data.tags["iksamples.study"] == small.digest()
+        size = runs[f"network, grid{m}"]
+        assert size.data.tags[PARENT] == runs["network"].info.run_id
+        # MLflow filters parents and children apart from each other.
+        assert size.data.params.items() >= runs["network"].data.params.items()
+    shown = {"n_samples": "27", "label": "grid3", "hidden": "16", "learning_rate": "0.001"}
+    assert runs["network, grid3"].data.params.items() >= shown.items()
+    assert runs["network"].data.tags["iksamples.study"] == small.digest()
 
 
-def test_every_other_method_is_a_curve(small: Study, results: list[Cell], uri: str) -> None:
-    """Beside the study's, and named as it is, so that MLflow draws them in one chart."""
+def test_the_papers_table_is_a_line_in_its_own_study_alone(
+    small: Study, results: list[Cell], uri: str
+) -> None:
+    log(small, results)
+    client = connect(uri)
+    curve = client.get_metric_history(
+        current(uri)["paper, Table 1"].info.run_id, "rectangles/error_mean_mm"
+    )
+    table = paper_table().set_index("n_samples")["paper_error_mm"]
+    assert {point.step: point.value for point in curve} == table.to_dict()
+    other = small.model_copy(update={"name": "other", "paper": False})
+    log(other, results)
+    assert len(current(uri, "other")) == RUNS - 1
+
+
+def test_every_variant_is_a_curve(small: Study, results: list[Cell], uri: str) -> None:
+    """All named alike, so that MLflow draws them in one chart."""
     settings = small.model_dump(mode="json")
     settings["methods"] = {"wide": {"network": {"hidden": [32]}}, "table": {"kind": "multilinear"}}
     study = parse_study(settings)
     proofs = []
     for cell, factor in zip(results, (2.0, 3.0), strict=True):
+        folder = cell.results / "wide" / cell.label
+        shutil.copytree(cell.folder, folder)
         errors = cell.table("errors")
         errors = errors.assign(**{c: errors[c] * factor for c in errors if c.endswith("_mm")})
-        for method, rows in (("wide", errors), ("table", errors[errors["seed"] == SEEDS[0]])):
-            folder = cell.results / method / cell.label
-            folder.mkdir(parents=True)
-            rows.to_parquet(folder / "errors.parquet")
+        errors.to_parquet(folder / "errors.parquet")
+        table = cell.results / "table" / cell.label
+        table.mkdir(parents=True)
+        errors[errors["seed"] == SEEDS[0]].to_parquet(table / "errors.parquet")
         members = cell.table("members")
         members.loc[0, "diverged"] = True
-        members.to_parquet(cell.results / "wide" / cell.label / "members.parquet")
+        members.to_parquet(folder / "members.parquet")
         key = {"method": "wide", "label": cell.label, "n_samples": cell.samples.n_samples}
-        key |= {"samples_per_axis": cell.samples.points_per_axis, "verified": True}
-        proofs += [{**key, "seed": s, "sup_lower_mm": 1.0, "sup_upper_mm": 9.0 + s} for s in SEEDS]
-    pd.DataFrame(proofs).to_csv(results[0].results / "certificates.csv", index=False)
+        key |= {"verified": True, "mean_lower_mm": 0.0, "mean_upper_mm": 1e6}
+        proofs += [{**key, "seed": s, "sup_lower_mm": 1.0, "sup_upper_mm": 1e4 + s} for s in SEEDS]
+    frame = pd.DataFrame(proofs, columns=list(CERTIFICATES))
+    frame.to_csv(results[0].results / "wide" / "certificates.csv", index=False)
+    frame[:0].to_csv(results[0].results / "table" / "certificates.csv", index=False)
     log(study, results)
-    runs = runs_by_key(uri)
+    runs = current(uri)
     client = connect(uri)
-    assert len(runs) == RUNS + 2
-    wide, table = runs["methods/wide/grid"], runs["methods/table/grid"]
+    assert len(runs) == RUNS + 2 * 3
     for cell, factor, n in zip(results, (2.0, 3.0), (8, 27), strict=True):
         errors = cell.table("errors").set_index(["region", "seed"])["error_mean_mm"]
-        for run, of_seeds in ((wide, SEEDS[1:]), (table, SEEDS[:1])):
-            curve = client.get_metric_history(run.info.run_id, "cube_error_mean_mm")
-            value = {point.step: point.value for point in curve}[n]
-            assert value == pytest.approx(factor * errors["cube"][list(of_seeds)].mean())
-    assert wide.data.metrics["sup_worst_mm"] == 9.0 + SEEDS[-1]
-    assert "sup_worst_mm" not in table.data.metrics
-    assert wide.data.params["hidden"] == "32"
-    assert table.data.params["kind"] == "multilinear"
-    assert runs[STUDY_KEY].data.metrics.keys() >= {"cube_error_mean_mm", "error_max_mm"}
+        for name, of_seeds in (("wide", SEEDS[1:]), ("table", SEEDS[:1])):
+            for region, ours in (("workspace", "cube"), ("heart", "heart")):
+                curve = client.get_metric_history(runs[name].info.run_id, f"{region}/error_mean_mm")
+                value = {point.step: point.value for point in curve}[n]
+                assert value == pytest.approx(factor * errors[ours][list(of_seeds)].mean())
+    assert runs["wide"].data.metrics["workspace/sup_worst_mm"] == 1e4 + SEEDS[-1]
+    assert "workspace/sup_worst_mm" not in runs["table"].data.metrics
+    assert runs["wide"].data.params["hidden"] == "32"
+    assert runs["table"].data.params["kind"] == "multilinear"
 
 
-def test_runs_name_the_commit(small: Study) -> None:
-    assert "mlflow.source.git.commit" not in source_tags(small)
-    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c"]
-    for call in (["init", "-q"], ["commit", "-q", "--allow-empty", "-m", "x"]):
-        subprocess.run([*git, *call], check=True)
-    head = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
-    assert source_tags(small)["mlflow.source.git.commit"] == head.stdout.strip()
-
-
-def test_runs_hold_what_the_tables_hold(small: Study, results: list[Cell], uri: str) -> None:
-    log(small, results)
-    runs = runs_by_key(uri)
-    client = connect(uri)
-    table = pd.read_csv(results[0].results / "table.csv").set_index("n_samples")
-    curve = client.get_metric_history(runs[STUDY_KEY].info.run_id, "error_mean_mm")
-    assert {point.step: point.value for point in curve} == dict(table["error_mean_mm"])
-    for cell in results:
-        grid = runs[f"network/{cell.label}"]
-        row = table.loc[cell.samples.n_samples]
-        for name in (
-            "error_mean_mm",
-            "error_sd_mm",
-            "cube_error_p95_mm",
-            "estimate_mm",
-            "paper_error_mm",
-        ):
-            assert grid.data.metrics[name] == row[name]
-        errors = cell.table("errors").set_index(["region", "seed"])
-        assert grid.data.metrics["heart_error_mean_mm"] == pytest.approx(
-            errors.loc["heart", "error_mean_mm"].mean()
-        )
-        bounds = cell.table("bounds").set_index("seed")
-        history = cell.table("history").set_index(["seed", "epoch"])
-        for seed in SEEDS:
-            run = runs[f"network/{cell.label}/seed{seed}"]
-            metrics = run.data.metrics
-            assert metrics["error_mean_mm"] == errors.loc[("rectangles", seed), "error_mean_mm"]
-            assert metrics["heart_error_max_mm"] == errors.loc[("heart", seed), "error_max_mm"]
-            assert metrics["cube_error_p95_mm"] == errors.loc[("cube", seed), "error_p95_mm"]
-            assert metrics["estimate_mm"] == bounds.loc[seed, "estimate_mean_mm"]
-            losses = client.get_metric_history(run.info.run_id, "validation_loss_rad2")
-            steps = [point.step for point in losses]
-            assert steps == sorted(set(steps))
-            assert (steps[0], steps[-1], len(steps)) == (1, EPOCHS, 100)
-            for point in losses:
-                assert point.value == history.loc[(seed, point.step), "validation_loss_rad2"]
-
-
-def test_weights_and_samples_go_with_the_grid(
+def test_a_size_holds_its_seeds(
     small: Study, results: list[Cell], uri: str, tmp_path: Path
 ) -> None:
     log(small, results)
-    runs = runs_by_key(uri)
     client = connect(uri)
-    grid = runs["network/grid3"]
     (tmp_path / "fetched").mkdir()
-    file = client.download_artifacts(
-        grid.info.run_id, "weights.safetensors", str(tmp_path / "fetched")
-    )
-    loaded, network = StackedMLP.load(file), results[1].network
-    for ours, theirs in zip(loaded.weights, network.weights, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    names = {item.path for item in client.list_artifacts(grid.info.run_id)}
-    assert names >= {"grid3.parquet", "errors.parquet", "bounds.parquet", "history.parquet"}
-    [used] = grid.inputs.dataset_inputs
-    assert (used.dataset.name, used.dataset.digest) == ("grid3", results[1].samples.digest())
-    study_files = {item.path for item in client.list_artifacts(runs[STUDY_KEY].info.run_id)}
-    assert "table.csv" in study_files
+    for cell in results:
+        run_id = current(uri)[f"network, {cell.label}"].info.run_id
+        errors = cell.table("errors").set_index(["region", "seed"])
+        curve = client.get_metric_history(run_id, "seeds/heart_error_max_mm")
+        assert {point.step: point.value for point in curve} == {
+            seed: errors.loc[("heart", seed), "error_max_mm"] for seed in SEEDS
+        }
+        history = cell.table("history").groupby("epoch")["validation_loss_rad2"].mean()
+        losses = client.get_metric_history(run_id, "loss/validation_loss_rad2")
+        steps = [point.step for point in losses]
+        assert steps == sorted(set(steps))
+        assert (steps[0], steps[-1], len(steps)) == (1, EPOCHS, 100)
+        for point in losses:
+            assert point.value == pytest.approx(history[point.step])
+
+        folder = str(tmp_path / "fetched")
+        file = client.download_artifacts(run_id, "weights.safetensors", folder)
+        for ours, theirs in zip(StackedMLP.load(file).weights, cell.network.weights, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        table = pd.read_csv(client.download_artifacts(run_id, "seeds.csv", folder))
+        assert set(table["seed"]) == set(SEEDS)
+        assert set(table["region"]) == {"workspace", "rectangles", "heart"}
+        [used] = client.get_run(run_id).inputs.dataset_inputs
+        assert (used.dataset.name, used.dataset.digest) == (cell.label, cell.samples.digest())
 
 
 def test_doing_it_again_changes_nothing(small: Study, results: list[Cell], uri: str) -> None:
     log(small, results)
-    before = runs_by_key(uri)
-    connect(uri).set_tag(before["network/grid2"].info.run_id, "mlflow.note.content", "my own words")
-    where = before[STUDY_KEY].info.experiment_id
-    connect(uri).set_experiment_tag(where, "mlflow.note.content", "my experiment")
+    before = current(uri)
+    client = connect(uri)
+    client.set_tag(before["network, grid2"].info.run_id, "mlflow.note.content", "my own words")
+    where = before["network"].info.experiment_id
+    client.set_experiment_tag(where, "mlflow.note.content", "my experiment")
     outcome, _ = log(small, results)
-    after = runs_by_key(uri)
-    assert connect(uri).get_experiment(where).tags["mlflow.note.content"] == "my experiment"
-    assert (outcome.logged, outcome.kept, outcome.removed) == (0, RUNS, 0)
-    assert {key: run.info.run_id for key, run in after.items()} == {
-        key: run.info.run_id for key, run in before.items()
+    after = current(uri)
+    assert client.get_experiment(where).tags["mlflow.note.content"] == "my experiment"
+    assert (outcome.logged, outcome.kept, outcome.outdated) == (0, RUNS, 0)
+    assert {name: run.info.run_id for name, run in after.items()} == {
+        name: run.info.run_id for name, run in before.items()
     }
-    assert after["network/grid2"].data.tags["mlflow.note.content"] == "my own words"
+    assert after["network, grid2"].data.tags["mlflow.note.content"] == "my own words"
 
 
-def test_only_what_changed_is_replaced(small: Study, results: list[Cell], uri: str) -> None:
+def test_what_changed_is_another_run_and_the_older_one_stays(
+    small: Study, results: list[Cell], uri: str
+) -> None:
     log(small, results)
-    before = runs_by_key(uri)
-    errors = results[1].table("errors")
-    errors.loc[errors["seed"] == 4, "error_mean_mm"] += 1.0
-    errors.to_parquet(results[1].folder / "errors.parquet")
-    write_table(small, results)
-    outcome, _ = log(small, [replace(cell) for cell in results])
-    after = runs_by_key(uri)
-    changed = {key for key in after if after[key].info.run_id != before[key].info.run_id}
-    assert changed == {STUDY_KEY, "network/grid3", "network/grid3/seed4"}
-    assert outcome.removed == 3
-    for seed in SEEDS:  # also those that stayed hang below the new run
-        child = after[f"network/grid3/seed{seed}"]
-        assert child.data.tags["mlflow.parentRunId"] == after["network/grid3"].info.run_id
-    assert after["network/grid2"].data.tags["mlflow.parentRunId"] == after[STUDY_KEY].info.run_id
+    before = current(uri)
+    change(results, 1.0)
+    outcome, _ = log(small, results)
+    after = current(uri)
+    changed = {name for name in after if after[name].info.run_id != before[name].info.run_id}
+    assert changed == {"network", "network, grid3"}
+    assert (outcome.logged, outcome.outdated) == (2, 2)
+    for m in (2, 3):  # also the size that stayed hangs below the new run
+        assert after[f"network, grid{m}"].data.tags[PARENT] == after["network"].info.run_id
+    active = {run.info.run_id for run in all_runs(uri)}
+    assert active == {run.info.run_id for run in [*before.values(), *after.values()]}
+    change(results, -1.0)  # and back
+    log(small, results)
+    again = {name: run.info.run_id for name, run in current(uri).items()}
+    close = {name for name, run in before.items() if again[name] == run.info.run_id}
+    assert close >= {"paper, Table 1", "network, grid2"}
 
 
-@pytest.mark.parametrize("calls", [1, 4, RUNS - 1])
+def test_runs_of_another_owner_are_left_alone(
+    small: Study, results: list[Cell], uri: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two people with a study of one name on one server."""
+    log(small, results)
+    theirs = {run.info.run_id: dict(run.data.tags) for run in all_runs(uri)}
+    ours = owner()
+    monkeypatch.setattr(getpass, "getuser", lambda: "o'brien")
+    assert owner() != ours
+    change(results, 1.0)
+    outcome, manifest = log(small, results)
+    assert (outcome.logged, outcome.kept, outcome.outdated) == (RUNS, 0, 0)
+    after = {run.info.run_id: dict(run.data.tags) for run in all_runs(uri)}
+    assert {run_id: after[run_id] for run_id in theirs} == theirs
+    assert len(after) == 2 * RUNS
+    assert not set(manifest["runs"].values()) & set(theirs)
+    foreign = connect(uri).create_run(manifest["experiment_id"], run_name="somebody's own")
+    log(small, results)
+    assert foreign.info.run_id in {run.info.run_id for run in all_runs(uri)}
+
+
+def test_one_owner_per_user_and_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = owner()
+    assert here == owner()
+    monkeypatch.chdir(tmp_path)
+    assert owner() != here
+
+    def nameless() -> str:
+        raise KeyError("getpwuid(): uid not found: 12345")
+
+    monkeypatch.setattr(getpass, "getuser", nameless)
+    assert owner().startswith(f"{os.getuid()}-")
+
+
+@pytest.mark.parametrize("calls", [1, RUNS - 1])
 def test_a_cut_off_logging_is_finished_by_the_next(
     small: Study, results: list[Cell], uri: str, calls: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,38 +366,14 @@ def test_a_cut_off_logging_is_finished_by_the_next(
         with pytest.raises(KeyboardInterrupt):
             log(small, results)
     assert not (results[0].results / "tracking.json").exists()
-    half = {key: run.info for key, run in runs_by_key(uri).items()}
-    assert [info.status for info in half.values()].count("RUNNING") == 1
+    half = current(uri)
+    assert [run.info.status for run in half.values()].count("RUNNING") == 1
     outcome, _ = log(small, results)
-    runs = runs_by_key(uri)
+    runs = current(uri)
     assert len(runs) == RUNS
     assert {run.info.status for run in runs.values()} == {"FINISHED"}
-    assert (outcome.kept, outcome.removed) == (calls, 1)
-    assert all(
-        runs[key].info.run_id == info.run_id
-        for key, info in half.items()
-        if info.status == "FINISHED"
-    )
-
-
-def test_what_left_the_study_leaves_the_experiment(
-    small: Study, results: list[Cell], uri: str
-) -> None:
-    log(small, results)
-    client = connect(uri)
-    where = client.get_experiment_by_name("small").experiment_id
-    foreign = client.create_run(where, run_name="somebody's own")
-    outcome, manifest = log(small, results[:1])
-    assert outcome.removed == 1 + 1 + len(SEEDS)  # the study's run has one grid fewer
-    active = {run.info.run_id for run in client.search_runs([where])}
-    assert active == {*manifest["runs"].values(), foreign.info.run_id}
-
-
-def test_two_studies_share_a_store(small: Study, results: list[Cell], uri: str) -> None:
-    log(small, results)
-    other = small.model_copy(update={"name": "other"})
-    log(other, results)
-    assert len(runs_by_key(uri, "small")) == len(runs_by_key(uri, "other")) == RUNS
+    assert outcome.kept == calls
+    assert {run.info.status for run in all_runs(uri)} == {"FINISHED", "KILLED"}
 
 
 def test_a_deleted_experiment_comes_back(small: Study, results: list[Cell], uri: str) -> None:
@@ -381,15 +381,7 @@ def test_a_deleted_experiment_comes_back(small: Study, results: list[Cell], uri:
     client = connect(uri)
     client.delete_experiment(client.get_experiment_by_name("small").experiment_id)
     log(small, results)
-    assert len(runs_by_key(uri)) == RUNS
-
-
-def test_grids_come_before_seeds_in_the_list(small: Study, results: list[Cell], uri: str) -> None:
-    """MLflow lists and charts the newest runs first."""
-    log(small, results)
-    newest = sorted(runs_by_key(uri).items(), key=lambda item: -item[1].info.start_time)
-    keys = [key for key, _ in newest]
-    assert keys[:3] == [STUDY_KEY, "network/grid2", "network/grid3"]
+    assert len(current(uri)) == RUNS
 
 
 def test_a_diverged_seed_has_no_numbers_that_are_none(
@@ -400,35 +392,29 @@ def test_a_diverged_seed_has_no_numbers_that_are_none(
     members.loc[members["seed"] == 5, ["diverged", "test_loss_rad2"]] = [True, np.nan]
     history.loc[(history["seed"] == 5) & (history["epoch"] > 9), "train_loss_rad2"] = np.inf
     for name, table in (("errors", errors), ("members", members), ("history", history)):
-        with kept_file(results[0].folder / f"{name}.parquet") as file:
-            table.to_parquet(file)
-    write_table(small, results)
+        table.to_parquet(results[0].folder / f"{name}.parquet")
     log(small, results)
-    runs = runs_by_key(uri)
-    lost = runs["network/grid2/seed5"]
-    assert lost.data.params["diverged"] == "true"
-    assert "error_mean_mm" not in lost.data.metrics
+    runs = current(uri)
     assert all(np.isfinite(value) for run in runs.values() for value in run.data.metrics.values())
-    grid = runs["network/grid2"].data.metrics
+    size = runs["network, grid2"]
     sound = history[history["seed"] != 5].groupby("epoch")["train_loss_rad2"].mean()
-    assert grid["train_loss_rad2"] == pytest.approx(sound[EPOCHS])
-    assert grid["n_diverged"] == 1
+    assert size.data.metrics["loss/train_loss_rad2"] == pytest.approx(sound[EPOCHS])
+    assert size.data.metrics["n_diverged"] == 1
+    client = connect(uri)
+    text = Path(client.download_artifacts(size.info.run_id, "seeds.csv")).read_text()
+    table = pd.read_csv(io.StringIO(text)).set_index("seed")
+    assert table.loc[5, "diverged"].all()
+    curve = client.get_metric_history(size.info.run_id, "seeds/workspace_error_mean_mm")
+    assert [point.step for point in curve] == [3, 4]
 
 
-def test_early_stopped_curves_end_where_they_end(small: Study, results: list[Cell]) -> None:
-    history = results[0].table("history")
-    history = history[(history["seed"] != 4) | (history["epoch"] <= 7)]
-    with kept_file(results[0].folder / "history.parquet") as file:
-        history.to_parquet(file)
-    contents = {
-        run.key: run for run in study_runs(small, results, results[0].results / "table.csv")
-    }
-    steps = {
-        key: [step for name, _, step in run.metrics if name == "train_loss_rad2"]
-        for key, run in contents.items()
-    }
-    assert steps["network/grid2/seed4"] == list(range(1, 8))
-    assert len(steps["network/grid2/seed3"]) == 100
+def test_runs_name_the_commit(small: Study) -> None:
+    assert "mlflow.source.git.commit" not in source_tags(small)
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for call in (["init", "-q"], ["commit", "-q", "--allow-empty", "-m", "x"]):
+        subprocess.run([*git, *call], check=True)
+    head = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    assert source_tags(small)["mlflow.source.git.commit"] == head.stdout.strip()
 
 
 def test_which_store(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -466,7 +452,6 @@ def test_an_unusable_store_is_one_line(small: Study, results: list[Cell], unusab
     assert not (results[0].results / "tracking.json").exists()
 
 
-@pytest.mark.slow
 def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell]) -> None:
     # What a kill during its making leaves behind.
     Path(".unfinished-mlflow.db").mkdir()
@@ -474,7 +459,7 @@ def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell
     Path(".unfinished-mlflow.db/mlflow.db-journal").write_bytes(b"and its journal")
     log(at(small, None), results)
     assert {path.name for path in Path().iterdir()} == {"mlflow.db", "mlruns"}
-    assert len(runs_by_key(DEFAULT_URI)) == RUNS
+    assert len(current(DEFAULT_URI)) == RUNS
 
 
 @pytest.fixture
@@ -506,19 +491,47 @@ def server(tmp_path: Path) -> Iterator[str]:
             process.wait(30)
 
 
-@pytest.mark.slow
-def test_a_tracking_server_takes_them_too(
-    small: Study, results: list[Cell], server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_server_is_opened_on_the_errors_and_is_told_no_secret(
+    small: Study,
+    results: list[Cell],
+    server: str,
+    browser: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", server)
+    """MLflow's own page in a browser: a line per variant over n, on logarithmic axes."""
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", server.replace("//", "//user:s3cret@"))
     first, manifest = log(at(small, None), results)
     again, _ = log(at(small, None), results)
     assert (first.logged, again.logged, again.kept) == (RUNS, 0, RUNS)
-    assert manifest["tracking_uri"] == server
-    assert len(runs_by_key(server)) == RUNS
+    assert manifest["tracking_uri"] == server.replace("//", "//user:***@")
+    assert len(current(server)) == RUNS
     (tmp_path / "fetched").mkdir()
     file = connect(server).download_artifacts(
-        manifest["runs"]["network/grid2"], "weights.safetensors", str(tmp_path / "fetched")
+        manifest["runs"]["network, grid2"], "weights.safetensors", str(tmp_path / "fetched")
     )
     assert StackedMLP.load(file).seeds == SEEDS
     assert not any(Path().iterdir())  # nothing beside the server
+    for path in [*(tmp_path / "server").rglob("*"), *results[0].results.rglob("*")]:
+        assert path.is_dir() or b"s3cret" not in path.read_bytes(), path
+
+    page = browser.new_page(viewport={"width": 1600, "height": 1000})
+    page.goto(f"{server}/{manifest['page']}")
+    page.wait_for_function(
+        """() => [...document.querySelectorAll(".js-plotly-plot")].filter(
+            (plot) => plot.data && plot.data.length).length >= 4""",
+        timeout=120_000,
+    )
+    charts = page.evaluate(
+        """() => [...document.querySelectorAll(".js-plotly-plot")].map((plot) => ({
+            axes: [plot._fullLayout.xaxis.type, plot._fullLayout.yaxis.type],
+            lines: Object.fromEntries(plot.data.map((line) => [line.name, [...line.x]])),
+        }))"""
+    )
+    assert all(chart["axes"] == ["log", "log"] for chart in charts)
+    assert charts[0]["lines"] == {
+        "network": [8, 27],
+        "paper, Table 1": [8, 27, 64, 125, 216, 343, 512],
+    }
+    assert [set(chart["lines"]) for chart in charts[1:]] == [{"network"}] * (len(charts) - 1)
+    page.close()

@@ -2,23 +2,18 @@
 Tracking: one job writes all runs to MLflow, since parallel writers race on a new SQLite file.
 
 REQUIRED INPUTS
-    results/<study>/table.csv, answer.json, certificates.csv, <method>/<samples>/errors.parquet
-    everything in results/<study>/network/
+    results/<study>/runs.parquet, answer.json, samples/<samples>.parquet
+    results/<study>/<method>/<samples>/{weights.safetensors,history.parquet}, where it is a network
 OUTPUTS
     results/<study>/tracking.json (what was logged), and the runs themselves
 """
 
 
 rule track:
-    """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
+    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
     input:
-        table="results/{study}/table.csv",
+        runs="results/{study}/runs.parquet",
         answer="results/{study}/answer.json",
-        errors=expand(
-            "results/{{study}}/{method}/{samples}/errors.parquet",
-            method=STUDY.all_methods,
-            samples=LABELS,
-        ),
     output:
         "results/{study}/tracking.json",
     log:

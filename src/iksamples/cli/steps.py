@@ -270,14 +270,12 @@ def track(
     results: Results,
     output: Annotated[Path, typer.Option("--output", "-o", help="What was logged (JSON).")],
 ) -> None:
-    """Log the study, its grids and their seeds to MLflow; what is there already is kept."""
-    from iksamples.results import cells
+    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
     from iksamples.study import read_study
     from iksamples.tracking.track import track as log_study
 
-    study = read_study(study_file)
     with kept_file(output) as file:
-        log_study(study, cells(study, results), results / "table.csv", file)
+        log_study(read_study(study_file), results, file)
 
 
 @app.command()

@@ -1,64 +1,37 @@
-"""What is logged to MLflow: a run for the study, one per grid below it, one per seed below that.
+"""What is logged to MLflow: a run per variant (method and design), and below it one per size.
 
-Every other method, and the study's network on every other design, gets one run with its errors as
-curves over the number of samples, beside the study's own.
+A variant's run holds its errors as curves over the number of samples, so that MLflow draws a line
+for each. A size's run holds the settings, the losses over the epochs, the samples, the weights, and
+the errors of every seed, as a table and as curves over the seeds.
 """
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from iksamples.answer.outcomes import certificates
-from iksamples.evaluation.errors import CUBE
+from iksamples.answer.collect import WORKSPACE, Variant, variants
 from iksamples.files import checked
-from iksamples.paper.table import over_seeds
-from iksamples.recording.colours import RED, Colour, blues
-from iksamples.results import Cell, cells
+from iksamples.paper.table import paper_table
+from iksamples.recording.colours import GREY
+from iksamples.results import Cell, networks
+from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
 
 
 if TYPE_CHECKING:
     import pandas as pd
 
-STUDY_KEY = "study"
 CURVE_POINTS = 100
-
-# Settings of a grid; every other number in its row of the table is a result.
-_AXES_OF_INTEREST = (
-    "samples_per_axis",
-    "n_samples",
-    "n_trained",
-    "spacing_mm",
-    "fill_distance_mm",
-    "n_seeds",
-)
 _STATISTICS = ("error_mean_mm", "error_p95_mm", "error_max_mm")
 _LOSSES = ("train_loss_rad2", "validation_loss_rad2")
-_TABLES = ("history", "members", "errors", "bounds")
 
-
-@dataclass(frozen=True)
-class Samples:
-    """A set of samples as MLflow's dataset.
-
-    Attributes:
-        name: Name of the set.
-        digest: Hash of its content.
-        path: Its file.
-        columns: Its columns.
-        rows: Number of samples.
-    """
-
-    name: str
-    digest: str
-    path: Path
-    columns: tuple[str, ...]
-    rows: int
+Metric = tuple[str, float, int]
+"""Name, value and step; a step is a number of samples, an epoch or a seed."""
 
 
 @dataclass(frozen=True)
@@ -66,70 +39,149 @@ class RunContent:
     """Everything one run holds.
 
     Attributes:
-        key: Names the run within its experiment, whatever MLflow calls it.
+        name: Shown name, which no other run of the study has.
         kind: What the run stands for.
-        name: Shown name.
-        parent: Key of the run it hangs below.
+        parent: Name of the run it hangs below.
         note: Description (Markdown).
         params: Settings by name.
-        metrics: Name, value and step; steps of a curve are epochs or numbers of samples.
-        dataset: What the networks learnt from.
-        artifacts: Files that go with the run.
+        metrics: Its numbers. What stands before a slash is the section of MLflow's page.
+        texts: Content of further files by their name.
+        files: Files that go with the run.
+        samples: What the networks learnt from.
         colour: Colour of the run's curves (#rrggbb), else MLflow picks one.
     """
 
-    key: str
-    kind: Literal["study", "grid", "seed", "method"]
     name: str
+    kind: Literal["variant", "size"]
     parent: str | None
     note: str
     params: dict[str, str]
-    metrics: list[tuple[str, float, int]]
-    dataset: Samples | None = None
-    artifacts: list[Path] = field(default_factory=list)
+    metrics: list[Metric]
+    texts: dict[str, str] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
+    samples: SampleSet | None = None
     colour: str = ""
 
     def digest(self) -> str:
         """Twelve hexadecimal digits of everything the run holds."""
-        dataset = self.dataset and (self.dataset.name, self.dataset.digest)
-        parts = (self.name, self.parent, self.note, self.params, self.metrics, dataset, self.colour)
+        parts = (self.kind, self.note, self.params, self.metrics, self.texts, self.colour)
         content = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
-        for path in self.artifacts:
+        for path in self.files:
             content.update(path.name.encode() + path.read_bytes())
         return content.hexdigest()[:12]
 
 
-def study_runs(study: Study, cells: Iterable[Cell], table_path: Path) -> Iterator[RunContent]:
+def study_runs(study: Study, results: Path, runs: "pd.DataFrame") -> Iterator[RunContent]:
     """Every run of a study, parents before their children.
 
     Args:
         study: The study.
-        cells: The results of each grid, smallest first.
-        table_path: The study's ``table.csv``.
+        results: Its results folder.
+        runs: Its tidy table (``answer.collect.read_runs``).
     """
-    import pandas as pd
-
-    table = pd.read_csv(checked(table_path))
-    rows = {row["samples_per_axis"]: row for _, row in table.iterrows()}
-    cells = list(cells)
-    grids = [
-        _grid_run(study, cell, rows[cell.samples.points_per_axis], _hex(colour))
-        for cell, colour in zip(cells, blues(len(cells)), strict=True)
-    ]
-    yield _study_run(study, grids, table_path)
-    for cell, grid in zip(cells, grids, strict=True):
-        yield grid
-        yield from _seed_runs(study, cell, grid)
-    yield from _method_runs(study, table_path.parent)
+    if study.paper:
+        yield _paper_run(study)
+    for variant, rows in variants(runs).items():
+        sizes = [
+            _size_run(study, results, variant, own) for _, own in rows.groupby("label", sort=False)
+        ]
+        yield _variant_run(study, variant, sizes)
+        yield from sizes
 
 
-def study_params(study: Study) -> dict[str, str]:
-    """Settings that all runs of a study share; numbers as plain numbers."""
-    network, training = study.network, study.training
-    stopping = training.early_stopping
-    return {
+def own_run(study: Study) -> str:
+    """Name of the run of the study's own network on its first design."""
+    return _variant_name(study, Variant(NETWORK, study.samples.design))
+
+
+def _variant_run(study: Study, variant: Variant, sizes: list[RunContent]) -> RunContent:
+    """A variant's run: the errors of its sizes as curves over the number of samples."""
+    return RunContent(
+        _variant_name(study, variant),
+        "variant",
+        None,
+        "Errors [mm] over the number of samples, which is the step; means over the seeds.",
+        _settings(study, variant),
+        [metric for size in sizes for metric in size.metrics if _is_error(metric)],
+        # Without the address of the store, which may hold a password.
+        {"study.json": study.model_dump_json(indent=2, exclude={"tracking"})},
+    )
+
+
+def _size_run(study: Study, results: Path, variant: Variant, rows: "pd.DataFrame") -> RunContent:
+    """The run of a variant on one set of samples."""
+    cell = Cell(results, variant.method, str(rows["label"].iloc[0]))
+    first = rows.iloc[0]
+    n = int(first["n_samples"])
+    sound = rows[~rows["diverged"]]
+    of_seeds = rows.drop_duplicates("seed")
+    metrics = [*_errors(sound, n), ("n_diverged", float(of_seeds["diverged"].sum()), n)]
+    trained = variant.method in networks(study)
+    if trained:
+        history = cell.table("history")
+        metrics += _losses(history[history["seed"].isin(sound["seed"])])
+        metrics += _by_seed(sound)
+    settings = _settings(study, variant) | {
+        "label": cell.label,
+        "n_samples": str(n),
+        "n_trained": str(first["n_trained"]),
+        "n_seeds": str(len(of_seeds)),
+        "fill_distance_mm": f"{first['fill_distance_mm']:.6g}",
+    }
+    own = [checked(cell.folder / name) for name in ("weights.safetensors", "history.parquet")]
+    return RunContent(
+        f"{_variant_name(study, variant)}, {cell.label}",
+        "size",
+        _variant_name(study, variant),
+        "Means over the seeds; `seeds.csv` has the errors [mm] of each, and under `seeds` they are "
+        "curves whose step is the seed. The step of a loss is the epoch, of an error the number of "
+        "samples.",
+        settings,
+        [metric for metric in metrics if np.isfinite(metric[1])],
+        {"seeds.csv": rows.to_csv(index=False)},
+        (cell.samples_path, *(own if trained else [])),
+        cell.samples,
+    )
+
+
+def _paper_run(study: Study) -> RunContent:
+    """The paper's Table 1 as one more line."""
+    table = paper_table()
+    path = next(iter(study.evaluation.paths))
+    return RunContent(
+        "paper, Table 1",
+        "variant",
+        None,
+        "What the paper prints (arXiv 2605.23583), for its own path and networks.",
+        {"method": "paper"},
+        [
+            (f"{path}/error_mean_mm", row["paper_error_mm"], int(row["n_samples"]))
+            for row in table.to_dict("records")
+        ],
+        colour="#{:02x}{:02x}{:02x}".format(*GREY),
+    )
+
+
+def _variant_name(study: Study, variant: Variant) -> str:
+    one_design = len(study.samples.designs) == 1
+    return variant.method if one_design else f"{variant.method} on {variant.design}"
+
+
+def _settings(study: Study, variant: Variant) -> dict[str, str]:
+    """Settings of a variant; numbers as plain numbers."""
+    method = study.all_methods[variant.method]
+    settings = {
+        "method": variant.method,
+        "kind": method.kind,
+        "design": variant.design,
         "robot": Path(study.robot.urdf).stem,
         "normalisation": study.samples.normalisation,
+    }
+    if method.kind != "network":
+        return settings
+    network, training = method.network, method.training
+    stopping = training.early_stopping
+    return settings | {
         "hidden": "-".join(map(str, network.hidden)) or "none",
         "activation": network.activation,
         "optimizer": training.optimizer,
@@ -141,192 +193,34 @@ def study_params(study: Study) -> dict[str, str]:
     }
 
 
-def _study_run(study: Study, grids: list[RunContent], table_path: Path) -> RunContent:
-    """The study's run: the grids' errors as curves over the number of samples."""
-    metrics = [
-        (name, value, n_samples)
-        for grid in grids
-        for name, value, n_samples in grid.metrics
-        if name.endswith(("_mm", "_over_spacing"))
-    ]
-    note = (
-        f"{study.title or study.name}\n\nErrors over the number of samples, which is the step of "
-        f"every chart here. {_about_errors(study)} Below this run is one per grid, and below each "
-        "grid one per seed."
-    )
-    settings = table_path.with_name("study.json")
-    return RunContent(
-        STUDY_KEY,
-        "study",
-        f"{study.name}: all sample sizes",
-        None,
-        note,
-        {**study_params(study), "n_seeds": str(study.training.seeds)},
-        metrics,
-        artifacts=[table_path, *([settings] if settings.exists() else [])],
-        colour=_hex(RED),
-    )
+def _errors(sound: "pd.DataFrame", n: int) -> Iterator[Metric]:
+    """Errors of one size: for each region means over the sound seeds, and what is proved."""
+    for region in sound["region"].unique():
+        rows = sound[sound["region"] == region]
+        for name in _STATISTICS:
+            yield f"{region}/{name}", float(rows[name].mean()), n
+        if region == WORKSPACE:
+            yield f"{region}/sup_median_mm", float(rows["sup_upper_mm"].median()), n
+            yield f"{region}/sup_worst_mm", float(rows["sup_upper_mm"].max(skipna=False)), n
 
 
-def _grid_run(study: Study, cell: Cell, row: "pd.Series", colour: str) -> RunContent:
-    """A grid's run: its row of the table, the other paths, and the mean loss over its seeds."""
-    samples = cell.samples
-    n = samples.n_samples
-    members = cell.table("members")
-    sound = members.loc[~members["diverged"], "seed"]
-    params = study_params(study) | {"method": cell.method, "design": samples.design}
-    params |= {
-        name: f"{row[name]:.10g}"
-        for name in _AXES_OF_INTEREST
-        if name in row and np.isfinite(row[name])
-    }
-    metrics = [
-        (str(name), float(value), n) for name, value in row.items() if name not in _AXES_OF_INTEREST
-    ]
-    means = cell.sound_errors.groupby("region")[list(_STATISTICS)].mean()
-    for path in list(study.evaluation.paths)[1:]:
-        metrics += [(f"{path}_{name}", float(means[name][path]), n) for name in _STATISTICS]
-    history = cell.table("history")
-    metrics += _curves(history[history["seed"].isin(sound)].groupby("epoch", as_index=False).mean())
-    columns = samples.space.columns() + samples.joint_space.columns("q_")
-    note = (
-        f"{len(members)} networks trained on {n} samples ({samples.design}, "
-        f"{samples.points_per_axis} points per axis); means over these seeds. "
-        f"{_about_errors(study)} The step of an error is the number of samples, of a loss the "
-        "epoch. Each seed is a run below this one; `weights.safetensors` has the weights of all."
-    )
-    return RunContent(
-        f"{cell.method}/{cell.label}",
-        "grid",
-        f"{cell.label}: {n} samples",
-        STUDY_KEY,
-        note,
-        params,
-        _finite(metrics),
-        Samples(cell.label, samples.digest(), cell.samples_path, tuple(columns), n),
-        [
-            cell.samples_path,
-            cell.folder / "weights.safetensors",
-            *(cell.folder / f"{name}.parquet" for name in _TABLES),
-        ],
-        colour,
-    )
+def _is_error(metric: Metric) -> bool:
+    return not metric[0].startswith(("loss/", "seeds/"))
 
 
-def _seed_runs(study: Study, cell: Cell, grid: RunContent) -> Iterator[RunContent]:
-    """The runs of a grid's seeds, with metrics named as the grid's."""
-    n = cell.samples.n_samples
-    histories = dict(iter(cell.table("history").groupby("seed")))
-    errors = dict(iter(cell.table("errors").groupby("seed")))
-    bounds = cell.table("bounds").set_index("seed")
-    first_path, *other_paths = study.evaluation.paths
-    prefixes = {first_path: "", CUBE: "cube_"} | {path: f"{path}_" for path in other_paths}
-    average = study.bounds.average_weight
-    columns = {
-        "estimate_mm": f"estimate_{average}_mm",
-        "wbar": f"wbar_{average}",
-        "above_estimate": f"above_{average}",
-    }
-    for member in cell.table("members").to_dict("records"):
-        seed = member["seed"]
-        metrics = [
-            (f"{prefixes[region['region']]}{name}", float(region[name]), n)
-            for region in errors[seed].to_dict("records")
-            for name in _STATISTICS
-        ]
-        bound = bounds.loc[seed].to_dict()
-        metrics += [(name, float(bound[column]), n) for name, column in columns.items()]
-        metrics.append(("test_loss_rad2", float(member["test_loss_rad2"]), member["epochs_run"]))
-        metrics += _curves(histories[seed])
-        own = {
-            "seed": str(seed),
-            "epochs_run": str(member["epochs_run"]),
-            "diverged": str(member["diverged"]).lower(),
-        }
-        yield RunContent(
-            f"{grid.key}/seed{seed}",
-            "seed",
-            f"{cell.label}, seed {seed}",
-            grid.key,
-            "",
-            grid.params | own,
-            _finite(metrics),
-            colour=grid.colour,
-        )
+def _by_seed(sound: "pd.DataFrame") -> Iterator[Metric]:
+    """The errors of each seed, with the seed as step: seeds can be compared between runs."""
+    for row in sound.to_dict("records"):
+        for name in ("error_mean_mm", "error_max_mm"):
+            yield f"seeds/{row['region']}_{name}", float(row[name]), int(row["seed"])
 
 
-def _method_runs(study: Study, results: Path) -> Iterator[RunContent]:
-    """A run for each method and design but the study's own, with metrics named as the study's."""
-    proofs = certificates(results)
-    for name, method in study.all_methods.items():
-        for design in study.samples.designs:
-            if (name, design) == (NETWORK, study.samples.design):
-                continue
-            metrics = [
-                metric
-                for cell in cells(study, results, name, design)
-                for metric in _method_metrics(study, cell, proofs)
-            ]
-            if not metrics:
-                continue
-            params = {"method": name, "kind": method.kind, "design": design}
-            if method.kind == "network":
-                own = {"network": method.network, "training": method.training}
-                params |= study_params(study.model_copy(update=own))
-                params["n_seeds"] = str(method.training.seeds)
-            where = f" on {design}" if len(study.samples.designs) > 1 else ""
-            yield RunContent(
-                f"methods/{name}/{design}",
-                "method",
-                f"{name}{where}: all sample sizes",
-                STUDY_KEY,
-                f"Errors over the number of samples, which is the step. {_about_errors(study)}",
-                params,
-                _finite(metrics),
-            )
-
-
-def _method_metrics(
-    study: Study, cell: Cell, proofs: "pd.DataFrame | None"
-) -> Iterator[tuple[str, float, int]]:
-    """A method's errors on one set of samples: mean over its sound seeds, and certified."""
-    errors = cell.sound_errors
-    n = cell.samples.n_samples
-    for region, prefix in ((next(iter(study.evaluation.paths)), ""), (CUBE, "cube_")):
-        own = errors[errors["region"] == region]
-        if own.empty:
-            return  # the method cannot use these samples
-        statistics = over_seeds(own, prefix, cell.samples.spacing_mm)
-        yield from ((name, value, n) for name, value in statistics.items())
-    if proofs is not None:
-        own = proofs[(proofs["method"] == cell.method) & (proofs["label"] == cell.label)]
-        yield "sup_median_mm", float(own["sup_upper_mm"].median()), n
-        yield "sup_worst_mm", float(own["sup_upper_mm"].max()), n
-
-
-def _hex(colour: Colour) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def _about_errors(study: Study) -> str:
-    first_path, *other_paths = study.evaluation.paths
-    others = "".join(f", `{path}_` on the path {path}" for path in other_paths)
-    return (
-        f"`error_` is measured on the path {first_path}{others}, `cube_` over the whole workspace; "
-        "`estimate_mm` is the paper's Eq. 25 and `paper_` its Table 1."
-    )
-
-
-def _curves(history: "pd.DataFrame") -> list[tuple[str, float, int]]:
-    """The losses over the epochs, thinned to some hundred points."""
-    at = np.unique(np.linspace(0, len(history) - 1, CURVE_POINTS).round().astype(int))
-    thinned = history.iloc[at]
-    return [
-        (name, float(value), int(epoch))
-        for name in _LOSSES
-        for epoch, value in zip(thinned["epoch"], thinned[name], strict=True)
-    ]
-
-
-def _finite(metrics: list[tuple[str, float, int]]) -> list[tuple[str, float, int]]:
-    return [metric for metric in metrics if np.isfinite(metric[1])]
+def _losses(history: "pd.DataFrame") -> Iterator[Metric]:
+    """The losses over the epochs, means over the seeds, thinned to some hundred points."""
+    means = history.groupby("epoch", as_index=False)[list(_LOSSES)].mean()
+    if means.empty:
+        return
+    at = np.unique(np.linspace(0, len(means) - 1, CURVE_POINTS).round().astype(int))
+    for name in _LOSSES:
+        for epoch, value in zip(means["epoch"].iloc[at], means[name].iloc[at], strict=True):
+            yield f"loss/{name}", float(value), int(epoch)

@@ -1,7 +1,11 @@
-"""Puts runs into MLflow so that doing it twice changes nothing."""
+"""Puts runs into MLflow so that doing it twice changes nothing, and nothing is ever deleted."""
 
+import getpass
+import hashlib
 import json
 import os
+import platform
+import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator
@@ -12,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from iksamples.errors import IksamplesError
 from iksamples.study.section import without_password
-from iksamples.tracking.content import RunContent, Samples
+from iksamples.tracking.content import RunContent
 
 
 if TYPE_CHECKING:
@@ -20,7 +24,8 @@ if TYPE_CHECKING:
     from mlflow.entities import Experiment, Run
 
 KEY = "iksamples.key"
-DIGEST = "iksamples.digest"
+OWNER = "iksamples.owner"
+CURRENT = "iksamples.current"
 _PARENT = "mlflow.parentRunId"
 # What the tracking service takes in one call.
 _METRICS_AT_ONCE = 1000
@@ -32,16 +37,30 @@ class Outcome:
     """What became of the runs.
 
     Attributes:
-        run_ids: MLflow's run id by key.
+        run_ids: MLflow's run id by name.
         logged: Runs written now.
         kept: Runs that were there with the same content.
-        removed: Runs that were outdated, left half-written, or no longer part of the study.
+        outdated: Runs of this owner that are no longer part of the study, and now say so.
     """
 
     run_ids: dict[str, str]
     logged: int = 0
     kept: int = 0
-    removed: int = 0
+    outdated: int = 0
+
+
+def owner() -> str:
+    """Whose runs these are: the user, and digits for this machine and folder.
+
+    On a shared server two people may have a study of the same name; neither touches what belongs
+    to the other.
+    """
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in some containers
+        user = str(os.getuid())
+    place = hashlib.sha256(f"{platform.node()}:{Path.cwd().resolve()}".encode())
+    return f"{re.sub('[^A-Za-z0-9_-]', '-', user)[:32]}-{place.hexdigest()[:8]}"
 
 
 def connect(uri: str) -> "MlflowClient":
@@ -69,55 +88,47 @@ def experiment(client: "MlflowClient", name: str) -> "Experiment":
     return found
 
 
-def upsert(
+def log_runs(
     client: "MlflowClient",
     where: "Experiment",
+    whose: str,
     contents: Iterable[RunContent],
     tags: dict[str, str],
 ) -> Outcome:
-    """Brings an experiment's runs in line with their content.
+    """Logs the runs that an owner does not have yet, and marks which of theirs are current.
 
-    A run with the same content stays untouched, with what people noted on it; any other run that
-    carries one of our keys is replaced or removed. Runs without a key are somebody else's.
+    A run's key is its owner, name and content. A run with that key stays as it is, with what people
+    noted on it; another content is another run, and the older one stays, no longer marked current.
 
     Args:
         client: The store.
         where: The experiment.
-        contents: The runs it is to have, parents before their children.
+        whose: The owner; nobody else's run is looked at.
+        contents: The runs of the study, parents before their children.
         tags: Further tags of runs that are written now.
     """
-    known: dict[str, list[Run]] = {}
-    for run in _runs_with_key(client, where):
-        known.setdefault(run.data.tags[KEY], []).append(run)
+    known = {run.data.tags[KEY]: run for run in _runs_of(client, where, whose)}
     now_ms = time.time_ns() // 1_000_000
     outcome = Outcome({})
     for i, content in enumerate(contents):
-        digest = content.digest()
-        parent = {_PARENT: outcome.run_ids[content.parent]} if content.parent else {}
-        kept = None
-        for run in known.pop(content.key, []):
-            # A run that is not finished was cut off.
-            whole = run.info.status == "FINISHED" and run.data.tags.get(DIGEST) == digest
-            if whole and kept is None:
-                kept = run
-            else:
-                client.delete_run(run.info.run_id)
-                outcome.removed += 1
-        if kept:
+        key = f"{whose}/{content.name}/{content.digest()}"
+        marks = {KEY: key, OWNER: whose, CURRENT: "true"}
+        if content.parent:
+            marks[_PARENT] = outcome.run_ids[content.parent]
+        run = known.pop(key, None)
+        if run and run.info.status == "FINISHED":
             outcome.kept += 1
-            outcome.run_ids[content.key] = kept.info.run_id
-            for name, value in parent.items():
-                if kept.data.tags.get(name) != value:
-                    client.set_tag(kept.info.run_id, name, value)
-            continue
-        # MLflow lists the newest first and charts the ten newest: grids before any seed.
-        start_ms = (int(where.creation_time or 0) if content.kind == "seed" else now_ms) - i
-        tagged = {KEY: content.key, DIGEST: digest, **tags, **parent}
-        outcome.run_ids[content.key] = _log(client, where, content, tagged, start_ms)
-        outcome.logged += 1
-    for run in (run for runs in known.values() for run in runs):
-        client.delete_run(run.info.run_id)
-        outcome.removed += 1
+            run_id = run.info.run_id
+            _mark(client, run, marks)
+        else:  # not there, or cut off
+            outcome.logged += 1
+            run_id = _log(client, where, content, {**tags, **marks}, now_ms - i)
+            if run:
+                _give_up(client, run)
+        outcome.run_ids[content.name] = run_id
+    for run in known.values():
+        outcome.outdated += run.data.tags[CURRENT] == "true"
+        _give_up(client, run)
     return outcome
 
 
@@ -151,48 +162,60 @@ def _log(
     """Writes one run and says its id."""
     from mlflow.entities import DatasetInput, InputTag, Metric, Param
 
-    tags = {"iksamples.kind": content.kind, **tags}
-    if content.note:
-        tags["mlflow.note.content"] = content.note
+    tags = {"iksamples.kind": content.kind, "mlflow.note.content": content.note, **tags}
     if content.colour:
         tags["mlflow.runColor"] = content.colour
-    run_id = client.create_run(where.experiment_id, start_ms, tags, content.name).info.run_id
+    run_id = str(client.create_run(where.experiment_id, start_ms, tags, content.name).info.run_id)
     metrics = [Metric(name, value, start_ms, step) for name, value, step in content.metrics]
     params = [Param(name, value) for name, value in content.params.items()]
-    client.log_batch(run_id, metrics[:_METRICS_AT_ONCE], params)
-    for first in range(_METRICS_AT_ONCE, len(metrics), _METRICS_AT_ONCE):
-        client.log_batch(run_id, metrics[first : first + _METRICS_AT_ONCE])
-    if content.dataset:
+    for first in range(0, max(len(metrics), 1), _METRICS_AT_ONCE):
+        some = metrics[first : first + _METRICS_AT_ONCE]
+        client.log_batch(run_id, some, params if first == 0 else [])
+    if content.samples:
         context = [InputTag("mlflow.data.context", "training")]
-        client.log_inputs(run_id, [DatasetInput(_dataset(content.dataset), context)])
-    for path in content.artifacts:
+        client.log_inputs(run_id, [DatasetInput(_dataset(content), context)])
+    for name, text in content.texts.items():
+        client.log_text(run_id, text, name)
+    for path in content.files:
         client.log_artifact(run_id, str(path))
     client.set_terminated(run_id, end_time=start_ms)
     return run_id
 
 
-def _dataset(samples: Samples) -> Any:
-    """MLflow's entity of a set of samples."""
+def _mark(client: "MlflowClient", run: "Run", marks: dict[str, str]) -> None:
+    for name, value in marks.items():
+        if run.data.tags.get(name) != value:
+            client.set_tag(run.info.run_id, name, value)
+
+
+def _give_up(client: "MlflowClient", run: "Run") -> None:
+    """Marks an owner's own run as no longer part of the study, and ends it if it was cut off."""
+    _mark(client, run, {CURRENT: "false"})
+    if run.info.status == "RUNNING":
+        client.set_terminated(run.info.run_id, "KILLED")
+
+
+def _dataset(content: RunContent) -> Any:
+    """MLflow's entity of a run's samples."""
     from mlflow.entities import Dataset
 
-    columns = [{"type": "double", "name": name, "required": True} for name in samples.columns]
-    profile = {"num_rows": samples.rows, "num_elements": samples.rows * len(columns)}
+    samples, file = content.samples, content.files[0]
+    assert samples is not None
     return Dataset(
-        samples.name,
-        samples.digest,
+        samples.label,
+        samples.digest(),
         "local",
-        json.dumps({"uri": str(samples.path)}),
-        json.dumps({"mlflow_colspec": columns}),
-        json.dumps(profile),
+        json.dumps({"uri": str(file)}),
+        profile=json.dumps({"num_rows": samples.n_samples}),
     )
 
 
-def _runs_with_key(client: "MlflowClient", where: "Experiment") -> "Iterator[Run]":
+def _runs_of(client: "MlflowClient", where: "Experiment", whose: str) -> "Iterator[Run]":
     token = None
     while True:
         page = client.search_runs(
             [where.experiment_id],
-            f"tags.`{KEY}` LIKE '%'",
+            f"tags.`{OWNER}` = '{whose}'",
             max_results=_RUNS_AT_ONCE,
             page_token=token,
         )

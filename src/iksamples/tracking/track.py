@@ -3,24 +3,24 @@
 import json
 import logging
 import os
-from collections.abc import Iterable
 from pathlib import Path
-from urllib.parse import quote, urlencode
 
 from iksamples.answer.answer import FILE as ANSWER
+from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.export.logged import log_network
-from iksamples.results import Cell
 from iksamples.study import Study
 from iksamples.study.section import without_password
-from iksamples.tracking.content import STUDY_KEY, study_runs
+from iksamples.tracking.content import own_run, study_runs
 from iksamples.tracking.store import (
     Outcome,
     connect,
     experiment,
     failing_plainly,
-    upsert,
+    log_runs,
+    owner,
 )
+from iksamples.tracking.view import page, view_tag
 
 
 DEFAULT_URI = "sqlite:///mlflow.db"
@@ -30,24 +30,20 @@ DEFAULT_URI = "sqlite:///mlflow.db"
 MODEL_TRAINING = "custom_model_development"
 
 
-def track(
-    study: Study, cells: Iterable[Cell], table_path: str | Path, output: str | Path
-) -> Outcome:
-    """Brings a study's MLflow experiment in line with its results.
+def track(study: Study, results: str | Path, output: str | Path) -> Outcome:
+    """Logs a study to the MLflow experiment of its name, but for what is there already.
 
-    The experiment has the study's name: one run for the study, below it one per grid, below that
-    one per seed, and one for every other method. What is there already with the same content is
-    kept, so that it can be done again at any time, also after it was cut off.
+    One run per variant, below it one per number of samples. It can be done again at any time, also
+    after it was cut off, and by several people on one server.
 
     Args:
         study: The study.
-        cells: The results of each grid, smallest first.
-        table_path: The study's ``table.csv``.
+        results: Its results folder.
         output: Manifest to write (JSON): where the runs are, each run's id, and the page that
-            compares the grids.
+            compares the variants.
 
     Raises:
-        IksamplesError: The tracking store cannot be used.
+        IksamplesError: The tracking store cannot be used, or the study is not finished.
     """
     # Before the first import of MLflow, which reads it then.
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
@@ -56,26 +52,28 @@ def track(
     for noisy in ("alembic", "mlflow.store.db.utils", "urllib3.connectionpool"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
     # All of it read first, so that a missing file stops this before anything is written.
-    contents = list(study_runs(study, cells, Path(table_path)))
-    uri = tracking_uri(study)
+    contents = list(study_runs(study, Path(results), read_runs(results)))
+    uri, whose = tracking_uri(study), owner()
     client = connect(uri)
     with failing_plainly(uri):
         where = experiment(client, study.name)
+        outcome = log_runs(client, where, whose, contents, source_tags(study))
+        if (Path(results) / ANSWER).exists():
+            log_network(client, outcome.run_ids[own_run(study)], Path(results))
+        client.set_experiment_tag(
+            where.experiment_id, *view_tag(study, whose, int(where.creation_time or 0))
+        )
         about = {
             "mlflow.experimentKind": MODEL_TRAINING,
-            "mlflow.note.content": _note(study, where.experiment_id),
+            "mlflow.note.content": _note(study, page(where.experiment_id, whose)),
         }
         for name in about.keys() - where.tags.keys():  # what people wrote there stays
             client.set_experiment_tag(where.experiment_id, name, about[name])
-        outcome = upsert(client, where, contents, source_tags(study))
-        results = Path(table_path).parent
-        if (results / ANSWER).exists():
-            log_network(client, outcome.run_ids[STUDY_KEY], results)
     manifest = {
         "tracking_uri": without_password(uri),
         "experiment": where.name,
         "experiment_id": where.experiment_id,
-        "page": page(where.experiment_id),
+        "page": page(where.experiment_id, whose),
         "study": study.digest(),
         "runs": outcome.run_ids,
     }
@@ -116,27 +114,12 @@ def source_tags(study: Study) -> dict[str, str]:
     return tags | ({"mlflow.source.git.commit": commit} if commit else {})
 
 
-def page(experiment_id: str) -> str:
-    """The part of the address, after the server's, where MLflow's page charts the grids."""
-    # Sorted by a metric, since MLflow folds runs below their parent when sorted by time.
-    query = {
-        "workflowType": "machine_learning",
-        "compareRunsMode": "CHART",
-        "searchFilter": "tags.`iksamples.kind` != 'seed'",
-        "orderByKey": "metrics.`error_mean_mm`",
-        "orderByAsc": "false",
-    }
-    return f"#/experiments/{experiment_id}/runs?{urlencode(query, quote_via=quote)}"
-
-
-def _note(study: Study, experiment_id: str) -> str:
+def _note(study: Study, charts: str) -> str:
     """What the experiment's page says; it shows the first line until asked for more."""
     return (
         "How the position error of a learned inverse kinematics falls with more samples: "
-        f"[charts]({page(experiment_id)}).\n\n"
+        f"[charts]({charts}).\n\n"
         f"{study.title}\n\n"
-        "One run for the study, below it one per grid, below each grid one per seed, and one for "
-        "every other method. The step of "
-        "an error is the number of samples, the step of a loss is the epoch. Lengths in mm, losses "
-        "in rad²."
+        "One run per variant (a method on samples placed by a design), below it one per number of "
+        "samples. `seeds.csv` there has the errors of every network. Lengths in mm, losses in rad²."
     )
