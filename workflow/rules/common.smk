@@ -28,6 +28,14 @@ def stop(message):
     sys.exit(2)
 
 
+def digest_of(file, key):
+    """Of a file that the study names: the path of an input would be a pattern to Snakemake."""
+    try:
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        stop(f"{key}: cannot read {file} ({error.strerror}).")
+
+
 def study_files():
     """The study's files, as from this folder."""
     return [os.path.relpath(file) for file in workflow.configfiles]
@@ -143,11 +151,8 @@ try:
     STUDY = the_study()
 except IksamplesError as error:
     stop(error)
-try:
-    # A digest, since the path of an input is a pattern to Snakemake.
-    ARM = hashlib.sha256(Path(STUDY.robot.urdf).read_bytes()).hexdigest()[:12]
-except OSError as error:
-    stop(f"robot.urdf: cannot read {STUDY.robot.urdf} ({error.strerror}).")
+ARM = digest_of(STUDY.robot.urdf, "robot.urdf")
+WAYPOINTS = [digest_of(file, "evaluation.paths") for file in STUDY.evaluation.files]
 
 if STUDY.tracking.uri:
     # What is kept of the study lacks its password, so the job that tracks it is told here.

@@ -32,6 +32,7 @@ rule evaluate:
     params:
         study="results/{study}/study.json",
         arm=ARM,
+        waypoints=WAYPOINTS,
         settings=settings("robot", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.evaluation.step"),
         results=results_folder,
@@ -63,6 +64,7 @@ if UNTRAINED:
         params:
             study="results/{study}/study.json",
             arm=ARM,
+            waypoints=WAYPOINTS,
             settings=settings("robot", "task", "workspace", "evaluation"),
             kinds=UNTRAINED,
             code=source_digest("iksamples.evaluation.step"),
