@@ -376,8 +376,8 @@ def errors_mm(problem: Problem, samples, chain, points, parameters: np.ndarray) 
     network = StackedMLP(
         *unstack(parameters, problem.sizes, problem.output_scale),
         problem.activation,
-        samples.offset_mm,
-        samples.scale_mm,
+        samples.offset,
+        samples.scale,
         tuple(range(len(parameters))),
     )
     reached = chain.forward_mm(network.predict(points))

@@ -45,7 +45,7 @@ def cell(small: Study, tmp_path: Path) -> Cell:
     cell.samples_path.parent.mkdir(parents=True)
     cell.folder.mkdir(parents=True)
     samples.save(cell.samples_path)
-    inputs = samples.normalise(samples.positions_mm)
+    inputs = samples.normalise(samples.x)
     parts: list[list[np.ndarray]] = [[], [], [], []]
     for seed in SEEDS:
         generator = np.random.default_rng(seed)
@@ -55,13 +55,13 @@ def cell(small: Study, tmp_path: Path) -> Cell:
         for part, value in zip(parts, (kernel, bias, out[:-1], out[-1]), strict=True):
             part.append(value)
     w0, b0, w1, b1 = (np.array(part, np.float32) for part in parts)
-    network = StackedMLP((w0, w1), (b0, b1), "relu", samples.offset_mm, samples.scale_mm, SEEDS)
+    network = StackedMLP((w0, w1), (b0, b1), "relu", samples.offset, samples.scale, SEEDS)
     network.save(cell.folder / "weights.safetensors")
     shares = np.array([0.0, 0.5, 0.9, 1.0])
     tensors: dict[str, Any] = {
         "epochs": EPOCHS,
-        "offset_mm": samples.offset_mm,
-        "scale_mm": samples.scale_mm,
+        "offset_mm": samples.offset,
+        "scale_mm": samples.scale,
     }
     for i, (weight, shift) in enumerate(((w0, b0), (w1, b1))):
         share = shares if i else np.ones(4)
@@ -121,7 +121,7 @@ def test_training_is_bounded_at_every_epoch(
         final = rows.iloc[-1]
         network = cell.network.select([SEEDS.index(int(str(seed)))])
         assert error_mm(network, chain, points).max() <= final["sup_upper_mm"]
-        at_samples = error_mm(network, chain, cell.samples.positions_mm)
+        at_samples = error_mm(network, chain, cell.samples.x)
         assert final["training_max_mm"] == pytest.approx(at_samples.max(), rel=1e-6)
         # Untrained, all joints are zero and the tool is in one place: h is constant.
         home = chain.forward_mm(np.zeros(3))

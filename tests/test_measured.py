@@ -23,7 +23,7 @@ def recorded():
     study = parse_study({"name": "paper"})
     task = study_task(study)
     samples = grid_samples(study, task, 3)
-    columns = dict(zip(("x_mm", "y_mm", "z_mm"), samples.positions_mm.T, strict=True))
+    columns = dict(zip(("x_mm", "y_mm", "z_mm"), samples.x.T, strict=True))
     columns |= {f"q_{n}_rad": q for n, q in zip(task.q.names, samples.joints.T, strict=True)}
     return study, task, samples, pd.DataFrame(columns)
 
@@ -91,7 +91,7 @@ def test_a_table_is_read_in_every_usual_form(recorded, tmp_path, form, capsys):
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     found = read_samples(study, task, path)
     assert found.label == "measured27"
-    np.testing.assert_allclose(found.positions_mm, samples.positions_mm, atol=1e-9)
+    np.testing.assert_allclose(found.x, samples.x, atol=1e-9)
     np.testing.assert_allclose(found.joints, samples.joints, atol=1e-12)
     said = capsys.readouterr().err
     assert said.count("\n") == (form == "no units")
@@ -242,12 +242,12 @@ def test_what_is_odd_is_named_with_its_rows(recorded, tmp_path, capsys):
 def test_random_samples_in_any_order_are_those_written(recorded, tmp_path, capsys):
     study, task, _, table = recorded
     samples = record_samples(study, task, "sobol", 8)
-    values = np.hstack([samples.positions_mm, samples.joints])
+    values = np.hstack([samples.x, samples.joints])
     pd.DataFrame(values, columns=list(table))[::-1].to_csv(tmp_path / "arm.csv", index=False)
     found = read_samples(study, task, tmp_path / "arm.csv")
     assert (found.label, found.n_samples) == ("measured8", 8)
-    np.testing.assert_array_equal(found.positions_mm, samples.positions_mm[::-1])
-    inputs = found.normalise(found.positions_mm)
+    np.testing.assert_array_equal(found.x, samples.x[::-1])
+    inputs = found.normalise(found.x)
     np.testing.assert_allclose((inputs.min(axis=0), inputs.max(axis=0)), ([0] * 3, [1] * 3))
     assert capsys.readouterr().err == ""
 

@@ -90,8 +90,8 @@ def test_one_member_the_same_every_time_and_however_many_points(
 def test_samples_are_hit_exactly_in_whatever_order_they_come(kind, m, study, task, rng):
     samples = grid_samples(study, task, m)
     order = rng.permutation(samples.n_samples)
-    shuffled = replace(samples, x=samples.positions_mm[order], joints=samples.joints[order])
-    answer = fit(kind, task, shuffled).predict(samples.positions_mm)[0]
+    shuffled = replace(samples, x=samples.x[order], joints=samples.joints[order])
+    answer = fit(kind, task, shuffled).predict(samples.x)[0]
     # A Gaussian process has a jitter of 1e-10 of the variance on its diagonal.
     tolerance = 1e-6 if kind == "gaussian-process" else 1e-12
     np.testing.assert_allclose(answer, samples.joints, rtol=0, atol=tolerance)
@@ -143,7 +143,7 @@ def test_polynomial_on_chebyshev_nodes_is_chebyshev_interpolation(study, task, c
             return (2 * (x - lower) / (upper - lower) - 1).T
 
         degree = [m - 1] * 3
-        vander = np.polynomial.chebyshev.chebvander3d(*scaled(samples.positions_mm), degree)
+        vander = np.polynomial.chebyshev.chebvander3d(*scaled(samples.x), degree)
         factors = np.linalg.solve(vander, samples.joints).reshape(m, m, m, 3)
         expected = np.polynomial.chebyshev.chebval3d(*scaled(region), factors).T
         np.testing.assert_allclose(predictor.predict(region)[0], expected, atol=1e-11)
@@ -178,7 +178,7 @@ def test_polynomials_within_the_degree_are_reproduced_on_uneven_grids_and_outsid
 
 def test_cubic_is_a_not_a_knot_spline_along_each_axis(study, task, rng):
     samples = grid_samples(study, task, 6)
-    axis = np.unique(samples.positions_mm[:, 0]), np.unique(samples.positions_mm[:, 2])
+    axis = np.unique(samples.x[:, 0]), np.unique(samples.x[:, 2])
     answer = fit("cubic", task, samples)
     for point in uniform(study, rng, 5):
         values = samples.joints.reshape(6, 6, 6, 3)
@@ -251,7 +251,7 @@ def test_gaussian_process_is_the_posterior_mean_at_the_likeliest_kernel(study, t
 def test_gaussian_process_tuned_on_some_samples_still_uses_all(study, task, monkeypatch):
     monkeypatch.setattr(gaussian_process, "MOST_TO_TUNE", 40)
     samples = grid_samples(study, task, 5)
-    answer = fit("gaussian-process", task, samples).predict(samples.positions_mm)[0]
+    answer = fit("gaussian-process", task, samples).predict(samples.x)[0]
     np.testing.assert_allclose(answer, samples.joints, rtol=0, atol=1e-6)
 
 
@@ -282,7 +282,7 @@ def test_methods_on_grids_refuse_masked_and_scattered_samples(kind, masked, stud
     with pytest.raises(NotApplicableError, match="27 samples on 27 x 27 x 27 coordinates"):
         fit(kind, task, scattered)
     # As many as there are crossings, but one is there twice.
-    twice = whole.positions_mm.copy()
+    twice = whole.x.copy()
     twice[1] = twice[0]
     with pytest.raises(NotApplicableError, match="27 samples on 3 x 3 x 3 coordinates"):
         fit(kind, task, with_points(whole, twice, whole.joints))
@@ -290,7 +290,7 @@ def test_methods_on_grids_refuse_masked_and_scattered_samples(kind, masked, stud
 
 def test_rounded_coordinates_are_one(study, task, rng):
     samples = grid_samples(study, task, 4)
-    rounded = samples.positions_mm + rng.uniform(-1e-9, 1e-9, (64, 3))
+    rounded = samples.x + rng.uniform(-1e-9, 1e-9, (64, 3))
     grid = tensor_grid(with_points(samples, rounded, samples.joints), "cubic")
     np.testing.assert_array_equal(grid.joints, samples.joints.reshape(4, 4, 4, 3))
     for axis in grid.axes:
@@ -302,15 +302,13 @@ def test_methods_for_scattered_samples_take_masked_grids(kind, masked):
     study, samples = masked
     task = study_task(study)
     predictor = fit(kind, study_task(study), samples)
-    np.testing.assert_allclose(
-        predictor.predict(samples.positions_mm)[0], samples.joints, atol=1e-6
-    )
+    np.testing.assert_allclose(predictor.predict(samples.x)[0], samples.joints, atol=1e-6)
     assert errors_mm(task, predictor, region_points(task.region, 1024)).mean() < 3
 
 
 def test_rbf_names_coinciding_and_flat_samples(study, task):
     samples = grid_samples(study, task, 3)
-    flat = samples.positions_mm.copy()
+    flat = samples.x.copy()
     flat[:, 2] = flat[:, 0]
     with pytest.raises(IksamplesError, match="rbf: cannot interpolate mine"):
         fit("rbf", task, with_points(samples, flat, samples.joints))

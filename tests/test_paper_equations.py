@@ -128,9 +128,7 @@ def test_audit_counts_the_points_above_each_estimate(chain, rng):
         assert table.loc[seed, "estimate_mean_abs_mm"] == pytest.approx(estimate)
         assert table.loc[seed, "above_mean_abs"] == pytest.approx(np.mean(error > estimate))
         gamma = table.loc[seed, "gamma"]
-        nearest = np.linalg.norm((points[:, None] - samples.positions_mm[None]) / 60, axis=-1).min(
-            axis=1
-        )
+        nearest = np.linalg.norm((points[:, None] - samples.x[None]) / 60, axis=-1).min(axis=1)
         bound = (gamma**2 + 1) * nearest**2
         assert table.loc[seed, "lemma_1_above_mm"] == pytest.approx(np.mean(error > 60 * bound))
 

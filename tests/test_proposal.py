@@ -72,7 +72,7 @@ def test_proposals_lie_where_the_seeds_disagree_and_do_not_clump(study, task, ch
     best = region_points(task.region, 4096)
     best = best[np.argsort(-disagreement_mm(network, chain, best))[:100]]
     assert pdist(positions).min() > 8 > 3 * pdist(best).min()
-    apart = np.linalg.norm(positions[:, None] - samples.positions_mm, axis=-1)
+    apart = np.linalg.norm(positions[:, None] - samples.x, axis=-1)
     assert apart.min() > 5
     np.testing.assert_array_equal(propose(task, samples, network, 100), positions)
     np.testing.assert_array_equal(propose(task, samples, network, 7), positions[:7])
@@ -117,7 +117,7 @@ def test_what_cannot_be_proposed_is_said(study, task):
     with pytest.raises(IksamplesError, match="no strategy 'best'"):
         propose(task, samples, yaw_apart(0, 1), 3, "best")
     with pytest.raises(IksamplesError, match="only 1 usable"):
-        spread(samples.positions_mm, np.ones(8), samples.positions_mm[:7], 2)
+        spread(samples.x, np.ones(8), samples.x[:7], 2)
 
 
 @pytest.fixture(scope="module")
@@ -139,23 +139,21 @@ def test_adaptive_sets_are_nested_and_do_not_depend_on_each_other(quick):
     assert (small.label, large.label) == ("adaptive8", "adaptive27")
     assert (large.design, large.points_per_axis, large.n_samples) == ("adaptive", 3, 27)
     assert np.isnan(large.spacing_mm)
-    np.testing.assert_array_equal(large.positions_mm[:8], small.positions_mm)
-    np.testing.assert_array_equal(
-        small.positions_mm, grid_samples(study, study_task(study), 2).positions_mm
-    )
-    np.testing.assert_allclose(chain.forward_mm(large.joints), large.positions_mm, atol=1e-9)
-    assert len(np.unique(large.positions_mm, axis=0)) == 27
-    assert in_box(large.positions_mm)
-    assert pdist(large.positions_mm).min() > 8
+    np.testing.assert_array_equal(large.x[:8], small.x)
+    np.testing.assert_array_equal(small.x, grid_samples(study, study_task(study), 2).x)
+    np.testing.assert_allclose(chain.forward_mm(large.joints), large.x, atol=1e-9)
+    assert len(np.unique(large.x, axis=0)) == 27
+    assert in_box(large.x)
+    assert pdist(large.x).min() > 8
     region = region_points(study_task(study).region, 2048)
-    assert fill_distance(large.positions_mm, region) < 35
+    assert fill_distance(large.x, region) < 35
     # Neither other sizes nor how a study trains for long, nor its seeds, move the points.
     longer = parse_study({**quick, "training": {"epochs": 900, "seeds": 2, "first_seed": 5}})
     assert adaptive_sets(longer, study_task(longer), [27])[27].digest() == large.digest()
     other = parse_study({**quick, "samples": {"seed": 1}})
-    moved = adaptive_sets(other, study_task(other), [27])[27].positions_mm
-    np.testing.assert_array_equal(moved[:8], small.positions_mm)
-    assert not np.array_equal(moved, large.positions_mm)
+    moved = adaptive_sets(other, study_task(other), [27])[27].x
+    np.testing.assert_array_equal(moved[:8], small.x)
+    assert not np.array_equal(moved, large.x)
 
 
 @pytest.mark.slow
@@ -167,7 +165,7 @@ def test_adaptive_samples_keep_off_what_the_arm_cannot_use(quick):
     [samples] = adaptive_sets(study, study_task(study), [27]).values()
     assert samples.n_samples == 27
     assert samples.n_masked == 0
-    assert study_task(study).reach(samples.positions_mm).usable.all()
+    assert study_task(study).reach(samples.x).usable.all()
 
 
 def test_adaptive_samples_cannot_be_recorded_in_one_step(study, task):

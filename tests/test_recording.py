@@ -78,8 +78,8 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             tuple(layers[0]),
             tuple(layers[1]),
             "relu",
-            samples.offset_mm,
-            samples.scale_mm,
+            samples.offset,
+            samples.scale,
             SEEDS,
         )
         network.save(cell.folder / "weights.safetensors")
@@ -88,8 +88,8 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             {
                 **tensors,
                 "epochs": EPOCHS,
-                "offset_mm": samples.offset_mm,
-                "scale_mm": samples.scale_mm,
+                "offset_mm": samples.offset,
+                "scale_mm": samples.scale,
             },
             {"activation": "relu", "seeds": list(SEEDS)},
         )
@@ -144,7 +144,7 @@ def test_tool_goes_where_the_network_sends_it(
             np.squeeze(list(error.values())), np.linalg.norm(reached - targets, axis=1)
         )
         [samples] = read(heart, f"/samples/{cell.label}", "Points3D:positions", None).values()
-        np.testing.assert_allclose(samples, cell.samples.positions_mm / 1000, atol=1e-6)
+        np.testing.assert_allclose(samples, cell.samples.x / 1000, atol=1e-6)
     [target] = read(heart, "/path/target", "LineStrips3D:strips", None).values()
     np.testing.assert_allclose(target[0], targets / 1000, atol=1e-6)
 

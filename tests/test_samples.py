@@ -16,8 +16,8 @@ def test_spacings_are_those_the_paper_states(study, task, chain, m, spacing_mm):
     samples = grid_samples(study, task, m)
     assert samples.n_samples == m**3
     assert samples.spacing_mm == spacing_mm
-    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.positions_mm, atol=1e-9)
-    inputs = samples.normalise(samples.positions_mm)
+    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.x, atol=1e-9)
+    inputs = samples.normalise(samples.x)
     assert inputs.min() == 0
     assert inputs.max() == 1
     assert samples.n_masked == 0
@@ -52,20 +52,20 @@ def test_saved_samples_come_back_the_same(study, task, tmp_path):
 
 
 def test_fresh_points_are_counted_and_off_the_grid(study, task, chain):
-    counts = {m: len(grid_samples(study, task, m).validation_mm) for m in (2, 5, 8)}
+    counts = {m: len(grid_samples(study, task, m).validation_x) for m in (2, 5, 8)}
     assert counts == {2: 16, 5: 16, 8: 26}  # at least 16, else 5 % of n rounded up
     samples = grid_samples(study, task, 5)
-    apart = np.linalg.norm(samples.validation_mm[:, None] - samples.positions_mm, axis=-1)
+    apart = np.linalg.norm(samples.validation_x[:, None] - samples.x, axis=-1)
     assert apart.min() > 0
-    assert not np.array_equal(samples.validation_mm, samples.test_mm)
+    assert not np.array_equal(samples.validation_x, samples.test_x)
     np.testing.assert_allclose(
-        chain.forward_mm(samples.validation_joints), samples.validation_mm, atol=1e-9
+        chain.forward_mm(samples.validation_joints), samples.validation_x, atol=1e-9
     )
 
 
 def test_points_held_out_of_the_grid_leave_no_fresh_ones():
     study = parse_study({"name": "x", "training": {"held_out": {"source": "grid"}}})
-    assert len(grid_samples(study, study_task(study), 3).validation_mm) == 0
+    assert len(grid_samples(study, study_task(study), 3).validation_x) == 0
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_points_held_out_of_the_grid_leave_no_fresh_ones():
 def test_normalisation(kind, low, high):
     study = parse_study({"name": "x", "samples": {"normalisation": kind}})
     samples = grid_samples(study, study_task(study), 3)
-    inputs = samples.normalise(samples.positions_mm)
+    inputs = samples.normalise(samples.x)
     assert (inputs.min(), inputs.max()) == (low, high)
 
 
@@ -95,7 +95,7 @@ def test_masked_points_are_counted_never_moved():
     assert samples.n_masked > 0
     assert task.reach(samples.x).usable.all()
     grid = {tuple(point) for point in full_grid(STATED_BOX["lower_mm"], STATED_BOX["upper_mm"], 4)}
-    assert {tuple(point) for point in samples.positions_mm} < grid
+    assert {tuple(point) for point in samples.x} < grid
     points = region_points(task.region, 512)
     assert len(points) == 520
     assert task.region.contains(points).all()
@@ -115,15 +115,13 @@ def test_every_design_gives_as_many_samples_inside_the_workspace(study, task, ch
     samples = record_samples(study, task, design, 64)
     assert samples.label == {"chebyshev": "chebyshev4"}.get(design, f"{design}64")
     assert samples.n_samples == 64
-    assert (samples.positions_mm >= (20, 20, 0)).all()
-    assert (samples.positions_mm <= (80, 80, 60)).all()
-    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.positions_mm, atol=1e-9)
+    assert (samples.x >= (20, 20, 0)).all()
+    assert (samples.x <= (80, 80, 60)).all()
+    np.testing.assert_allclose(chain.forward_mm(samples.joints), samples.x, atol=1e-9)
     again = record_samples(study, task, design, 64)
     assert again.digest() == samples.digest()
     other = parse_study({"name": "x", "samples": {"seed": 1}})
-    moved = (
-        record_samples(other, study_task(other), design, 64).positions_mm != samples.positions_mm
-    )
+    moved = record_samples(other, study_task(other), design, 64).x != samples.x
     assert moved.any() == (design != "chebyshev")
 
 
@@ -132,13 +130,13 @@ def test_chebyshev_nodes_are_those_of_numpy(study, task):
     nodes = np.polynomial.chebyshev.chebpts1(5)
     for axis, low in enumerate((20, 20, 0)):
         np.testing.assert_allclose(
-            np.unique(samples.positions_mm[:, axis].round(9)), (low + 30 + 30 * nodes).round(9)
+            np.unique(samples.x[:, axis].round(9)), (low + 30 + 30 * nodes).round(9)
         )
 
 
 def test_latin_hypercube_has_one_point_in_each_slice(study, task):
     samples = record_samples(study, task, "latin", 27)
-    slices = np.floor((samples.positions_mm - (20, 20, 0)) / 60 * 27).astype(int)
+    slices = np.floor((samples.x - (20, 20, 0)) / 60 * 27).astype(int)
     for column in slices.T:
         assert sorted(column) == list(range(27))
 

@@ -292,7 +292,7 @@ def test_the_whole_way_from_files_to_the_answer(results):
 class TestDiagnosis:
     def test_errors_at_the_samples_are_those_of_the_forward_kinematics(self, results, chain):
         cell = Cell(results, "network", "grid3")
-        expected = np.linalg.norm(chain.forward_mm(np.zeros(3)) - cell.samples.positions_mm, axis=1)
+        expected = np.linalg.norm(chain.forward_mm(np.zeros(3)) - cell.samples.x, axis=1)
         at = errors_at_samples(make_study(), cell)
         np.testing.assert_allclose(at, [expected.max()] * SEEDS)
         mean = errors_at_samples(make_study(tolerance={"of": "mean"}), cell)

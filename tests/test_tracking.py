@@ -102,7 +102,7 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             rng.normal(size=(len(SEEDS), *shape)).astype("float32") for shape in shapes
         )
         network = StackedMLP(
-            (first, last), tuple(biases), "relu", samples.offset_mm, samples.scale_mm, SEEDS
+            (first, last), tuple(biases), "relu", samples.offset, samples.scale, SEEDS
         )
         network.save(cell.folder / "weights.safetensors")
         waypoints = track_paths(small.evaluation, study_task(small), network)

@@ -63,7 +63,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
         assert sorted(path.name for path in folder.glob("[!.]*")) == sorted(FILES)
         network = StackedMLP.load(folder / "weights.safetensors")
         assert network.seeds == (4, 5, 6)
-        np.testing.assert_array_equal(network.scale_mm, samples.scale_mm)
+        np.testing.assert_array_equal(network.scale_mm, samples.scale)
 
         members = pd.read_parquet(folder / "members.parquet")
         problem = pose_problem(study, samples, study.seeds)
@@ -78,7 +78,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
         assert members.seed.tolist() == [4, 5, 6]
         assert not members.diverged.any()
 
-        mm = np.concatenate([samples.positions_mm, samples.validation_mm, samples.test_mm])
+        mm = np.concatenate([samples.x, samples.validation_x, samples.test_x])
         joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
         for i in range(3):
             for kind in ("train", "validation", "test"):

@@ -74,16 +74,14 @@ def propose(
                 "use the strategy 'worst'."
             )
         points = region_points(task.region, wanted)
-        return spread(points, disagreement_mm(network, task.arm, points), samples.positions_mm, k)
+        return spread(points, disagreement_mm(network, task.arm, points), samples.x, k)
     points = _worst_points(task, network, k)
-    found = spread(
-        points, largest_error_mm(network, task.arm, points), samples.positions_mm, k, True
-    )
+    found = spread(points, largest_error_mm(network, task.arm, points), samples.x, k, True)
     if len(found) == k:
         return found
     # The worst points were too few, or are recorded already: the workspace has others.
     points = region_points(task.region, wanted)
-    have = np.concatenate([samples.positions_mm, found])
+    have = np.concatenate([samples.x, found])
     rest = spread(points, largest_error_mm(network, task.arm, points), have, k - len(found))
     return np.concatenate([found, rest])
 

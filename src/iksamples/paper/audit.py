@@ -48,11 +48,11 @@ def audit(
     from scipy.spatial import KDTree
 
     scale = scale_mm(study)
-    n = samples.points_per_axis ** samples.positions_mm.shape[1]
+    n = samples.points_per_axis ** samples.x.shape[1]
     points = region_points(samples.region, study.evaluation.cube_points)
     error_mm = cube.pivot(index="seed", columns="point", values="error_mm")
     errors: Floats = error_mm.loc[list(network.seeds)].to_numpy(float)
-    distance, _ = KDTree(samples.normalise(samples.positions_mm)).query(samples.normalise(points))
+    distance, _ = KDTree(samples.normalise(samples.x)).query(samples.normalise(points))
 
     columns: dict[str, NDArray] = {"seed": np.asarray(network.seeds)}
     for name, average in paper.AVERAGES.items():

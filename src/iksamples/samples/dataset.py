@@ -16,7 +16,6 @@ from iksamples.region import Region
 from iksamples.task import Space
 
 
-AXES = ("x", "y", "z")
 _ROLES = ("sample", "validation", "test")
 
 
@@ -93,31 +92,6 @@ class SampleSet:
         extent = np.ptp(self.joints, axis=0)
         power = np.exp2(np.round(np.log2(np.maximum(extent, 1e-6) / 2)))
         return np.where([unit == "mm" for unit in self.joint_space.units], power, 1.0)
-
-    @property
-    def positions_mm(self) -> Floats:
-        """The samples' inputs, under their former name."""
-        return self.x
-
-    @property
-    def validation_mm(self) -> Floats:
-        """Fresh inputs for the validation loss, under their former name."""
-        return self.validation_x
-
-    @property
-    def test_mm(self) -> Floats:
-        """Fresh inputs for the test loss, under their former name."""
-        return self.test_x
-
-    @property
-    def offset_mm(self) -> Floats:
-        """What the normalisation subtracts, under its former name."""
-        return self.offset
-
-    @property
-    def scale_mm(self) -> Floats:
-        """What the normalisation divides by, under its former name."""
-        return self.scale
 
     def normalise(self, x: ArrayLike) -> Floats:
         """Network inputs for inputs of the task, shape (..., d)."""

@@ -39,8 +39,8 @@ def final_network(problem: Problem, samples: SampleSet, record: Record) -> Stack
     return StackedMLP(
         *unstack(record.parameters, problem.sizes, problem.output_scale),
         problem.activation,
-        samples.offset_mm,
-        samples.scale_mm,
+        samples.offset,
+        samples.scale,
         problem.seeds,
     )
 
