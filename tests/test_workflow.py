@@ -316,7 +316,7 @@ def test_several_designs_and_fresh_seeds(tmp_path):
     settings = {
         "samples": {"designs": ["sobol", "grid"], "points_per_axis": [2, 3]},
         "training": {"epochs": 300, "seeds": 6, "snapshots": 6},
-        "tolerance": {"error_mm": 60, "success_share": 0.5},
+        "tolerance": {"error_mm": 150, "success_share": 0.5},
         "replication": {"seeds": 7},
     }
     changes = [f"{key}={value}" for key, value in settings.items()]
@@ -327,7 +327,7 @@ def test_several_designs_and_fresh_seeds(tmp_path):
     assert "Error over spacing" not in report
     assert "Samples placed" in report
     checks = read_replications(folder / "results/tiny")
-    assert {check.design for check in checks} <= {"sobol", "grid"}
+    assert {check.design for check in checks} == {"sobol", "grid"}
     assert all(check.at.n_seeds == 7 for check in checks)
     assert ("fresh trainings?" in report) == bool(checks)
     assert planned(folder, *command[2:]) == set()

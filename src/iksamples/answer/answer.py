@@ -269,10 +269,11 @@ def recommend(results: str | Path) -> str:
     curves = [one.curve for one in answer.variants if one.curve]
     rising = sum(not curve.monotone for curve in curves)
     bent = sum(curve.monotone and not curve.convex for curve in curves)
-    blocks.append(
-        f"Ill-behaved learning curves: {rising} of {len(curves)} rise somewhere, {bent} more are "
-        "not convex."
-    )
+    if curves:
+        blocks.append(
+            f"Ill-behaved learning curves: {rising} of {len(curves)} rise somewhere, {bent} more "
+            "are not convex."
+        )
     return "\n\n".join(blocks)
 
 

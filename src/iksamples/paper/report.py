@@ -33,6 +33,7 @@ def values(data: ReportData) -> dict[str, Any]:
     table = pd.read_csv(checked(results / TABLE))
     table["ratio"] = table["error_mean_mm"] / table["paper_error_mm"]
     measured = table[table["error_mean_mm"].notna()]
+    spaced = bool(table["spacing_mm"].notna().all())
     claims = pd.read_csv(checked(results / CLAIMS), keep_default_na=False)
     claims.columns = pd.Index(["Claim", "Where", "Verdict", "Number or counter-example"])
     bounds, members = data.table("bounds"), data.table("members")
@@ -60,8 +61,8 @@ def values(data: ReportData) -> dict[str, Any]:
         "estimate": _estimate(table, bounds, study.bounds.average_weight),
         "exceeded": _exceeded(bounds, study.bounds.average_weight),
         "weights": _weights(table, bounds, scale_mm(study)),
-        "spaced": bool(table["spacing_mm"].notna().all()),
-        "over_spacing": _over_spacing(data, table),
+        "spaced": spaced,
+        "over_spacing": _over_spacing(data, table) if spaced else None,
         "urdf": study.robot.urdf,
         "network": f"{' and '.join(map(str, study.network.hidden)) or 'no'} "
         f"{study.network.activation}",
