@@ -1,6 +1,7 @@
-"""Measures the certificates: cost, a dense check, and agreement with another verifier.
+"""Measures the certificates: cost, dense checks, an attack, agreement with another verifier.
 
-    python benchmarks/certificates.py        # about six minutes on one core
+    python benchmarks/certificates.py        # about ten minutes on one core
+    python benchmarks/certificates.py attack # the attack alone
 
 Prints what docs/certificates.md states. Networks are trained here, through the arm; the forward
 kinematics and the networks' answers that certificates are held against are written here as well.
@@ -8,6 +9,7 @@ auto_LiRPA is left out where it cannot be imported.
 """
 
 import os
+import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -15,10 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from certificate_attack import attack
 from threadpoolctl import threadpool_limits
 
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.load import load_arm
+from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
 from iksamples.certify.search import certify_sup
 from iksamples.network import StackedMLP
@@ -80,13 +84,16 @@ def forward(chain: SerialChain, joints: torch.Tensor) -> tuple[torch.Tensor, tor
     return tip + rotation @ torch.tensor(chain.tip_mm), rotation
 
 
-def rotations(vectors: torch.Tensor) -> torch.Tensor:
-    """Rotation matrices of rotation vectors."""
-    skew = torch.zeros(len(vectors), 3, 3, dtype=F64)
-    x, y, z = vectors.T
-    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 0] = -z, y, z
-    skew[:, 1, 2], skew[:, 2, 0], skew[:, 2, 1] = -x, -y, x
-    return torch.linalg.matrix_exp(skew)
+def rotations(angles: torch.Tensor) -> torch.Tensor:
+    """Rotation matrices of roll, pitch and yaw about the fixed axes."""
+    total = torch.eye(3, dtype=F64).expand(len(angles), 3, 3)
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        turn = torch.eye(3, dtype=F64).repeat(len(angles), 1, 1)
+        sine, cosine = torch.sin(angles[:, i]), torch.cos(angles[:, i])
+        turn[:, j, j] = turn[:, k, k] = cosine
+        turn[:, j, k], turn[:, k, j] = -sine, sine
+        total = turn @ total
+    return total
 
 
 Case = tuple[SerialChain, StackedMLP, np.ndarray, np.ndarray]
@@ -155,18 +162,25 @@ def train(arm: str, task: str, hidden: tuple[int, ...], activation: str, seed: i
     return chain, stack, lower, upper
 
 
-def cost(title: str, cases: list[Case], rtol: float) -> None:
-    """Prints a row of the table."""
+def upright(arm: str) -> np.ndarray:
+    """Rotation of an arm's tool in the pose in its middle."""
+    chain, middle = ARMS[arm]
+    return forward(chain, torch.tensor(middle, dtype=F64)[None])[1][0].numpy()
+
+
+def cost(title: str, cases: list[Case], rtol: float, target: Target | None = None) -> None:
+    """Prints a row of the table: of positions, or of angles where a target is given."""
+    asked = {"target": target, "measure": "angle"} if target else {}
     seconds, boxes, complete, sizes = [], [], True, []
     for chain, stack, lower, upper in cases:
         times = []
         for _ in range(5 if len(lower) == 3 else 1):
             began = time.perf_counter()
-            found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol)
+            found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol, **asked)
             times.append(time.perf_counter() - began)
         seconds.append(1e3 * np.median(times))
         boxes.append(found.boxes)
-        sizes.append(found.upper)
+        sizes.append(np.degrees(found.upper) if target else found.upper)
         complete &= found.complete
     print(
         f"| {title} | {len(cases)} | {rtol:.1%} | {min(sizes):.1f} to {max(sizes):.1f} "
@@ -330,6 +344,17 @@ def main() -> None:
     with Path("/proc/cpuinfo").open() as lines:
         print(next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "?"))
     print(f"numpy {np.__version__}, torch {torch.__version__}, one core")
+    if "attack" in sys.argv[1:]:
+        attack(
+            [
+                train("3R", "position", hidden, kind, seed)
+                for hidden in ((16,), (16, 16))
+                for kind in ("relu", "tanh")
+                for seed in range(3)
+            ],
+            plain_errors,
+        )
+        return
     small: list[Case] = []
     for arm, task, hidden, seeds, rtol in (
         ("3R", "position", (16,), 5, 0.01),
@@ -345,10 +370,15 @@ def main() -> None:
             cases = [train(arm, task, hidden, activation, seed) for seed in range(seeds)]
             small += cases if arm == "3R" else []
             shape = "-".join(str(len(b[0])) for b in cases[0][1].biases)
-            cost(f"{arm} {task}, {len(cases[0][2])}-{shape} {activation}", cases, rtol)
+            title = f"{arm} {task}, {len(cases[0][2])}-{shape} {activation}"
+            cost(title, cases, rtol)
+            if task == "pose":
+                target = Target(COORDINATES, "fixed", upright(arm))
+                cost(f"{title}, angle [deg]", cases, rtol, target)
     checked(small, 0.01)
     checked([train("6R", "pose", (32,), kind, 0) for kind in ("relu", "tanh")], 0.05)
     dense(small)
+    attack(small[::2], plain_errors)
     try:
         agreement(small[::4])
     except ImportError as error:

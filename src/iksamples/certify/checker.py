@@ -173,9 +173,7 @@ class _Checks:
         for item, arm in zip(self.items, self.arms, strict=True):
             ahead = Ball.of(-at[:, item.angles])
             reached = arm.position(join([ahead, answer[:, item.outputs]], 1))[:, item.rows]
-            miss = reached - item.wanted
-            if item.inputs:
-                miss = miss - at[:, item.inputs]
+            miss = reached - (at[:, item.inputs] if item.inputs else item.wanted)
             least.append(np.maximum(np.abs(miss.mid) - miss.rad, 0.0))
         length = float(np.sqrt(np.sum(np.square(least))) * (1.0 - 64.0 * UNIT))
         if not np.isfinite(length):
@@ -253,20 +251,25 @@ def _bounds(
     d = centre.shape[1]
     rows, inputs = list(item.rows), list(item.inputs)
     tip, first, second = arm.derivatives(joints.centre.mid)
-    tip, first, second = tip[:, rows] - item.wanted, first[:, :, rows], second[..., rows]
+    tip, first, second = tip[:, rows], first[:, :, rows], second[..., rows]
 
     linear = joints.linear @ first
     if inputs:
         own = np.zeros((d, len(rows)))
         own[inputs, range(len(inputs))] = 1.0
         linear = linear - half[:, :, None] * own
+        around = Ball(centre.mid, up(centre.rad + half.magnitude()))[:, inputs]
         tip = tip - centre[:, inputs]
+    else:
+        around = Ball.of(np.zeros((len(centre.mid), len(rows)))) + item.wanted
+        tip = tip - item.wanted
     squares, mixed = joints.squares @ first, joints.mixed @ first
     noise = joints.factor @ first
 
+    bent = [(second * joints.linear[:, b, None, :, None]).sum(2) for b in range(d)]
+
     def curve(a: int, b: int) -> Ball:
-        along = (second * joints.linear[:, b, None, :, None]).sum(2)
-        return (along * joints.linear[:, a, :, None]).sum(1)
+        return (bent[b] * joints.linear[:, a, :, None]).sum(1)
 
     squares = squares + stack([curve(a, a) * 0.5 for a in range(d)], 1)
     pairs = mixed_pairs(d)
@@ -290,8 +293,5 @@ def _bounds(
     size = up(at.magnitude() + spread)
 
     change = up(joints.straight() + joints.rest())
-    around = Ball.of(np.zeros((len(change), len(rows)))) + item.wanted
-    if inputs:
-        around = Ball(centre.mid, up(centre.rad + half.magnitude()))[:, inputs] + item.wanted
     reach = arm.farthest(joints.centre.mid, change, around, rows)
     return up(norm_above(size * size) + beyond), reach

@@ -39,8 +39,8 @@ class Compared:
         angles: The inputs whose opposites are the chain's first joints [rad].
         outputs: The network's outputs that are its other joints.
         rows: Which of the vector's coordinates count.
-        inputs: The inputs that they are held against; empty where they are held against ``wanted``.
-        wanted: What they are held against besides, shape (rows,).
+        inputs: The inputs that they are held against; empty where it is ``wanted``.
+        wanted: What they are held against where it is no input, shape (rows,).
     """
 
     chain: SerialChain

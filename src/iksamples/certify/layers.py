@@ -98,6 +98,8 @@ class Layers:
                         & (np.ldexp(scaled[1], power) == bias)
                         & (np.ldexp(scaled[2], -power[:, :, None]) == out).all(axis=2)
                     )
+                if same.all():
+                    break
                 power = np.where(same, power, 0)
             weights[depth], biases[depth], weights[depth + 1] = scaled
         return replace(self, weights=tuple(weights), biases=tuple(biases))

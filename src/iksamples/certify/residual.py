@@ -75,6 +75,8 @@ class Residual:
     def at_corners(self) -> Floats:
         """What ``|y|`` can be at most at the corners, whose largest bounds it, (boxes, corners).
 
+        Not a number where something overflowed, which says nothing.
+
         A square lies in [0, 1] whatever ``s`` is. Everything else is affine in each coordinate of
         ``s`` alone, or noise whose reach is convex. The largest norm, which is the largest of
         ``n . y`` over unit vectors n, is then convex in each coordinate alone, so its maximum over
@@ -92,12 +94,11 @@ class Residual:
                 at_corners += self.reach @ self.noise_mm
         at_corners += middle[:, None]
         reach = reach + np.abs(at_corners)
-        upper = np.sqrt(np.einsum("bvk,bvk->bv", reach, reach)) + self.remainder_mm
-        return np.where(np.isnan(upper), np.inf, upper)  # what overflowed says nothing
+        return np.array(np.sqrt(np.einsum("bvk,bvk->bv", reach, reach)) + self.remainder_mm)
 
     def largest(self) -> Floats:
         """Upper bounds of ``|y|``, shape (boxes,)."""
-        return self.at_corners().max(axis=1)
+        return np.array(self.at_corners().max(axis=1))
 
 
 class ErrorOverBoxes:
@@ -131,6 +132,7 @@ class ErrorOverBoxes:
                 f"network; got {region.n_inputs} of either."
             )
         self.region = self.answers.pieces(region)
+        self.extent = region.upper_corner - region.lower_corner
         self.measure = measure
         self.vectors = [
             _Carried(item, Linkage.of(item.chain))
@@ -139,7 +141,7 @@ class ErrorOverBoxes:
             )
         ]
         self.apart_slack = _SLACK * np.sqrt(
-            sum(search_slack(self.answers, v.item, region) ** 2 for v in self.vectors)
+            sum(search_slack(self.answers, v.item, v.behind(), region) ** 2 for v in self.vectors)
         )
 
     @property
@@ -193,6 +195,7 @@ class ErrorOverBoxes:
                 corner = np.sqrt(sum(part.at_corners() ** 2 for part in parts))
                 most = np.sqrt(sum(part.most_mm**2 for part in parts))
             worst[some] = corner.argmax(axis=1)
+            # Of what is not a number, fmin takes the other: the arm's reach.
             apart = np.fmin(corner.max(axis=1) + self.apart_slack[which[some]], most)
             upper[some] = self._measured(apart)
             weight[some] = sum(part.weight_mm for part in parts)
@@ -211,7 +214,7 @@ class ErrorOverBoxes:
         joints = self.answers.expand(which, centre, radius)
         first = self.vectors[0]
         driven = first.driven(joints, centre, radius)  # the same for all of them
-        edges = radius / (self.region.upper_corner - self.region.lower_corner)
+        edges = radius / self.extent
         # A slide's reach is only known as well as the network's answer is.
         blur = self.apart_slack[which] if first.linkage.slides_at_all else 0.0
         return [v.residual(driven, centre, radius, edges, blur) for v in self.vectors]
@@ -227,12 +230,17 @@ class _Carried:
     item: Compared
     linkage: Linkage
 
+    def behind(self) -> Linkage:
+        """The chain without the inputs in front, taken apart."""
+        return Linkage.of(self.item.behind()) if self.item.angles else self.linkage
+
     def miss(self, joints: Floats, points: Floats) -> Floats:
         """The residual at points, shape (points, rows)."""
         item = self.item
-        driven = np.concatenate([-points[:, item.angles], joints[:, item.outputs]], axis=1)
-        reached = self.linkage.position_mm(driven)[:, item.rows] - item.wanted
-        return reached - points[:, item.inputs] if item.inputs else reached
+        if item.angles or len(item.outputs) < joints.shape[1]:
+            joints = np.concatenate([-points[:, item.angles], joints[:, item.outputs]], axis=1)
+        reached = self.linkage.position_mm(joints)[:, item.rows]
+        return reached - (points[:, item.inputs] if item.inputs else item.wanted)
 
     def driven(self, joints: Expansion, centre: Floats, radius: Floats) -> Expansion:
         """The chain's joints over boxes: the opposites of some inputs, then some outputs."""
@@ -331,13 +339,12 @@ class _Carried:
         """
         item, linkage = self.item, self.linkage
         vectors = linkage.vectors_at(joints.centre)
-        fixed = vectors[:, 0, list(item.rows)]
-        apart, size = np.abs(fixed - item.wanted), np.abs(fixed) + np.abs(item.wanted)
+        fixed, goal = vectors[:, 0, list(item.rows)], item.wanted[None]
+        wide: Floats | float = 0.0
         if item.inputs:
-            inputs = list(item.inputs)
-            apart = np.abs(fixed - item.wanted - centre[:, inputs]) + radius[:, inputs]
-            size = size + np.abs(centre[:, inputs])
-        most = np.sqrt(np.einsum("bk,bk->b", apart, apart)) + 1e-12 * size.sum(axis=1)
+            goal, wide = centre[:, list(item.inputs)], radius[:, list(item.inputs)]
+        apart = np.abs(fixed - goal) + wide + 1e-12 * (np.abs(fixed) + np.abs(goal))
+        most = np.sqrt(np.einsum("bk,bk->b", apart, apart))
         most = most + np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
         if linkage.slides_at_all:
             change = np.abs(joints.linear).sum(axis=1) + _largest(joints.quadratic, joints.noise)

@@ -116,18 +116,20 @@ def stored_slack_mm(
     layers = Layers.of(network)
     target = target or target_of(layers.n_inputs)
     [item] = compared(chain, target, "position", layers.n_inputs, layers.n_outputs)
-    return search_slack(layers, item, region)
+    return search_slack(layers, item, Linkage.of(chain), region)
 
 
-def search_slack(answers: Layers | Table, item: Compared, region: Region) -> Floats:
+def search_slack(
+    answers: Layers | Table, item: Compared, linkage: Linkage, region: Region
+) -> Floats:
     """What rounding does where the search evaluates networks and arm in float64, shape (networks,).
 
     Args:
         answers: The networks, or a look-up table.
         item: What is compared.
+        linkage: The chain that carries it, without the inputs in front.
         region: The inputs that it is about.
     """
-    linkage = Linkage.of(item.behind())
     if isinstance(answers, Table):
         return answers.rounding_mm(linkage, list(item.outputs), region)
     lower, upper = region.lower_corner, region.upper_corner
@@ -168,7 +170,8 @@ def rounding_mm(
         centre: Centres, shape (boxes, d).
         radius: Half edges, shape (boxes, d).
         form: The format.
-        arm_too: Whether the forward kinematics is computed in the format, too.
+        arm_too: Whether the forward kinematics is computed in the format, too. The bound is then
+            the product of absolute values, which costs less and is enough for double precision.
 
     Returns:
         Bounds [mm], shape (boxes,); infinite where something may overflow.
@@ -203,31 +206,52 @@ def rounding_mm(
 
         joints = list(outputs)
         ranges = (np.abs(middle) + half + error)[:, joints]
-        total = np.zeros(len(which))
         simply = np.sum(linkage.levers_mm(ranges) * error[:, joints], axis=1)
-        along, beside = np.zeros((*middle.shape, 3)), np.zeros(middle.shape)
-        along[:, joints], beside[:, joints] = _arm_slope(
-            linkage, middle[:, joints], (half + error)[:, joints]
-        )
-        for depth in reversed(range(len(layers.weights) + 1)):
-            part = np.einsum("bi,bik->bk", own[depth], np.abs(along))
-            total += np.sqrt(np.einsum("bk,bk->b", part, part)) + np.sum(
-                beside * own[depth], axis=1
-            )
-            if depth == 0:
-                break
-            weight = layers.weight(depth - 1, which)
-            along, beside = weight @ along, (np.abs(weight) @ beside[:, :, None])[:, :, 0]
-            if depth > 1:
-                slope, spread = slopes[depth - 2]
-                length = np.sqrt(np.einsum("bik,bik->bi", along, along))
-                beside = spread * length + (slope + spread) * beside
-                along = slope[:, :, None] * along
-        total = np.fmin(total, simply) * (1.0 + 1e-9)
         if arm_too:
             size = linkage.reach_mm(ranges) + ends.max(axis=1)
-            total += 32.0 * linkage.n_joints * form.unit * size
+            total = simply + 32.0 * linkage.n_joints * form.unit * size
+        else:
+            along, beside = np.zeros((*middle.shape, 3)), np.zeros(middle.shape)
+            along[:, joints], beside[:, joints] = _arm_slope(
+                linkage, middle[:, joints], (half + error)[:, joints]
+            )
+            total = np.fmin(_carried(layers, which, along, beside, own, slopes), simply)
+        total = total * (1.0 + 1e-9)
         return np.where((largest < form.largest) & np.isfinite(total), total, np.inf)
+
+
+def _carried(
+    layers: Layers,
+    which: Ints,
+    along: Floats,
+    beside: Floats,
+    own: list[Floats],
+    slopes: list[tuple[Floats, Floats]],
+) -> Floats:
+    """What the layers' own errors do to the tip [mm], each sent through all that follows it.
+
+    Args:
+        layers: The networks.
+        which: The network that each box is for.
+        along: The arm's slope: centres of its rows, shape (boxes, outputs, 3).
+        beside: Their radii, shape (boxes, outputs).
+        own: The input's error and each layer's, shape (boxes, width).
+        slopes: Each activation's slope over the box, as middle and half width.
+    """
+    total = np.zeros(len(which))
+    for depth in reversed(range(len(layers.weights) + 1)):
+        part = np.einsum("bi,bik->bk", own[depth], np.abs(along))
+        total += np.sqrt(np.einsum("bk,bk->b", part, part)) + np.sum(beside * own[depth], axis=1)
+        if depth == 0:
+            break
+        weight = layers.weight(depth - 1, which)
+        along, beside = weight @ along, (np.abs(weight) @ beside[:, :, None])[:, :, 0]
+        if depth > 1:
+            slope, spread = slopes[depth - 2]
+            length = np.sqrt(np.einsum("bik,bik->bi", along, along))
+            beside = spread * length + (slope + spread) * beside
+            along = slope[:, :, None] * along
+    return total
 
 
 def _times(rows: Floats, weight: Floats) -> Floats:
