@@ -1,5 +1,8 @@
 """Stacks, trainings, networks from elsewhere, and searches of other dimensions."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from certificate_cases import (
@@ -105,3 +108,18 @@ def test_networks_and_arms_that_do_not_fit(chain, rng):
     whole.scale[1] = 0.0
     with pytest.raises(IksamplesError, match="normalisation"):
         certify_sup(whole, 0, chain, Region.box(LOWER, UPPER))
+
+
+def test_certificates_need_an_arm_a_region_and_a_network_alone():
+    """No study, no table, and none of the slow imports."""
+    code = (
+        "import sys, iksamples.certify.search, iksamples.certify.checker, iksamples.certify.mean; "
+        "print(*sorted(sys.modules))"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    slow = {"torch", "pandas", "scipy", "numba", "lightning", "mlflow", "matplotlib", "pydantic"}
+    assert not slow & {name.split(".")[0] for name in loaded}
+    own = {name.split(".")[1] for name in loaded if name.startswith("iksamples.")}
+    assert own <= {"arm", "certify", "errors", "network", "region"}
