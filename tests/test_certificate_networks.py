@@ -122,4 +122,4 @@ def test_certificates_need_an_arm_a_region_and_a_network_alone():
     slow = {"torch", "pandas", "scipy", "numba", "lightning", "mlflow", "matplotlib", "pydantic"}
     assert not slow & {name.split(".")[0] for name in loaded}
     own = {name.split(".")[1] for name in loaded if name.startswith("iksamples.")}
-    assert own <= {"arm", "certify", "errors", "network", "region"}
+    assert own <= {"arm", "certify", "errors", "files", "network", "region"}
