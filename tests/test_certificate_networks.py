@@ -105,7 +105,7 @@ def test_networks_and_arms_that_do_not_fit(chain, rng):
     with pytest.raises(IksamplesError, match="fit"):
         certify_sup(torn, 0, chain, Region.box(LOWER, UPPER))
     whole = random_network(rng, (3, 4, 3), "relu")
-    whole.scale[1] = 0.0
+    whole.scale_mm[1] = 0.0
     with pytest.raises(IksamplesError, match="normalisation"):
         certify_sup(whole, 0, chain, Region.box(LOWER, UPPER))
 

@@ -191,7 +191,7 @@ def test_stacks_and_single_precision_of_angles(rng):
         one = stack.select([row])
         exact = plain_answer(one, 0, points)
         assert between(one, chain, target, points).max() <= found.upper
-        hidden = (np.float32(points) - np.float32(one.offset)) / np.float32(one.scale)
+        hidden = (np.float32(points) - np.float32(one.offset_mm)) / np.float32(one.scale_mm)
         for depth in range(2):
             hidden = hidden @ one.weights[depth][0] + one.biases[depth][0]
             hidden = np.maximum(hidden, 0) if depth == 0 else hidden
