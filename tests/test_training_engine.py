@@ -16,7 +16,7 @@ from torch import nn
 from training_problems import make_problem, same
 
 from iksamples.network import ACTIVATIONS, StackedMLP
-from iksamples.training import fused, kernel, reference
+from iksamples.training import arguments, fused, kernel, reference
 from iksamples.training.initial import initial_weights
 from iksamples.training.lanes import load, store, tanh
 from iksamples.training.module import fit as fit_with
@@ -337,14 +337,21 @@ def test_fused_gradient_against_finite_differences(activation, rng):
 
     w, m, v = start.T.flatten(), np.zeros(start.size), np.zeros(start.size)
     order = np.tile(np.arange(n, dtype=np.int32), (lanes, 1))
-    arguments = (
-        *(points, targets, order, order[:, :0], np.arange(lanes, dtype=np.uint64)),
-        *(np.array(sizes), kernel.ACTIVATIONS[activation], n, 1, np.ones(1), np.ones(1)),
-        *(w, m, v, np.zeros(5 * lanes), np.array([-1]), np.zeros(0)),
-        *(np.zeros(lanes), np.zeros((4, lanes), np.int64), np.ones(lanes), w.copy()),
-        *(0, False, np.float64(0), 0, (0,) * lanes, (0,) * 4),
+    handed = (
+        arguments.Data(points, targets, order, order[:, :0]),
+        np.array(sizes),
+        kernel.ACTIVATIONS[activation],
+        arguments.Schedule(n, 1, np.ones(1), np.ones(1)),
+        arguments.Group(
+            *(np.arange(lanes, dtype=np.uint64), w, m, v, w.copy()),
+            *(np.zeros(lanes), np.zeros((4, lanes), np.int64), np.ones(lanes)),
+        ),
+        arguments.Filled(np.zeros(5 * lanes), np.array([-1]), np.zeros(0)),
+        arguments.Stopping(0, False, np.float64(0), 0),
+        (0,) * lanes,
+        (0,) * 4,
     )
-    fused.compiled(*arguments)(*arguments)
+    fused.compiled(*handed)(*handed)
     # After one step the mean of the gradients is a tenth of the gradient.
     gradient = m.reshape(-1, lanes).T / (1 - kernel.BETA_1)
     step = 1e-6

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from iksamples.training import kernel, lanes
+from iksamples.training import arguments, kernel, lanes
 from iksamples.training.problem import Problem, learning_rates
 from iksamples.training.progress import Progress
 from iksamples.training.reference import BETA_1, BETA_2, EPSILON, StackedAdam
@@ -71,45 +71,40 @@ class FusedEngine:
         names = ("best_epoch", "waited", "stalled", "stopped")
         counters = np.stack([spread(getattr(progress, name)) for name in names], axis=1)
 
-        def arguments(group: int) -> tuple[Any, ...]:
+        def handed(group: int) -> tuple[Any, ...]:
             return (
-                problem.inputs.astype(w.dtype, copy=False),
-                problem.targets.astype(w.dtype, copy=False),
-                train_rows[group],
-                validation_rows[group],
-                seeds[group],
+                arguments.Data(
+                    problem.inputs.astype(w.dtype, copy=False),
+                    problem.targets.astype(w.dtype, copy=False),
+                    train_rows[group],
+                    validation_rows[group],
+                ),
                 np.array(problem.sizes),
                 kernel.ACTIVATIONS[problem.activation],
-                settings.batch_size,
-                first,
-                rates,
-                epsilons,
-                w[group],
-                m[group],
-                v[group],
-                history[group].reshape(-1),
-                slots,
-                snapshots[group].reshape(-1),
-                best_loss[group],
-                counters[group],
-                factor[group],
-                kept[group],
-                progress.patience,
-                progress.restore_best,
-                w.dtype.type(progress.min_delta),
-                progress.plateau,
+                arguments.Schedule(settings.batch_size, first, rates, epsilons),
+                arguments.Group(
+                    seeds[group],
+                    *(part[group] for part in (w, m, v, kept, best_loss, counters, factor)),
+                ),
+                arguments.Filled(history[group].reshape(-1), slots, snapshots[group].reshape(-1)),
+                arguments.Stopping(
+                    progress.patience,
+                    progress.restore_best,
+                    w.dtype.type(progress.min_delta),
+                    progress.plateau,
+                ),
                 (0,) * LANES,
                 (0,) * self.height,
             )
 
-        train = compiled(*arguments(0))
+        train = compiled(*handed(0))
         threads = min(n_groups, torch.get_num_threads())
         if threads == 1:
             for group in range(n_groups):
-                train(*arguments(group))
+                train(*handed(group))
         else:
             with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(lambda group: train(*arguments(group)), range(n_groups)))
+                list(pool.map(lambda group: train(*handed(group)), range(n_groups)))
 
         for tensor, packed in zip(stacked, (w, m, v, kept), strict=True):
             tensor.copy_(torch.from_numpy(self._unpack(packed)))
@@ -165,11 +160,11 @@ def tile_height(batch_size: int) -> int:
     return 1 if batch_size <= 2 else 8 if wide else 4
 
 
-def compiled(*arguments: Any) -> Callable[..., None]:
+def compiled(*values: Any) -> Callable[..., None]:
     """The compiled training loop for arguments of these types."""
     import numba
 
-    signature = tuple(numba.typeof(argument) for argument in arguments)
+    signature = tuple(numba.typeof(value) for value in values)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", numba.core.errors.NumbaWarning)
         try:
@@ -188,8 +183,10 @@ def _dispatcher(cached: bool) -> Any:
     import numba
 
     # numba's cache watches only the file of the function that it keeps; so its name carries the
-    # content of both files.
-    content = b"".join(Path(str(module.__file__)).read_bytes() for module in (kernel, lanes))
+    # content of all.
+    content = b"".join(
+        Path(str(module.__file__)).read_bytes() for module in (kernel, lanes, arguments)
+    )
     loop = kernel.train_group
     loop.__qualname__ = f"train_group_{hashlib.sha256(content).hexdigest()[:8]}"
     return numba.njit(nogil=True, cache=cached)(loop)

@@ -234,69 +234,26 @@ def _aligned(size, like):  # type: ignore[no-untyped-def]
 
 
 def train_group(  # type: ignore[no-untyped-def]
-    inputs,
-    targets,
-    train_rows,
-    validation_rows,
-    seeds,
-    sizes,
-    activation,
-    batch_size,
-    first_epoch,
-    rates,
-    epsilons,
-    w,
-    m,
-    v,
-    history,
-    slots,
-    snapshots,
-    best_loss,
-    counters,
-    factor,
-    kept,
-    patience,
-    restore_best,
-    min_delta,
-    plateau,
-    lanes,
-    rows,
+    data, sizes, activation, schedule, group, filled, stopping, lanes, rows
 ):
     """Trains one group of seeds for a block of epochs.
 
-    Flat arrays hold one vector of lanes per row: parameter p of the seed in lane k is
-    ``w[p * lanes + k]``.
-
     Args:
-        inputs: Shape (points, in).
-        targets: Shape (points, out).
-        train_rows: Rows each lane learns from, shape (lanes, n), int32.
-        validation_rows: Rows of its validation loss, shape (lanes, n_validation), int32.
-        seeds: Shape (lanes,), uint64.
+        data: An ``arguments.Data``.
         sizes: Neurons of each layer, int64.
         activation: Number of the activation, see ``ACTIVATIONS``.
-        batch_size: Samples per step.
-        first_epoch: First epoch of the block, counted from 1.
-        rates: Adam's step size, bias correction included, for each step of the block.
-        epsilons: Adam's epsilon, likewise.
-        w: Parameters, changed in place, flat.
-        m: Mean of the gradients, changed in place, flat.
-        v: Mean of their squares, changed in place, flat.
-        history: Filled: rows (epoch of the block, metric), flat.
-        slots: Where to put the snapshot of each epoch of the block, -1 for nowhere.
-        snapshots: Filled: rows (slot, parameter), flat.
-        best_loss: Shape (lanes,), changed in place like the next three.
-        counters: Best epoch, epochs since it, epochs since then or since the rate was halved, and
-            epoch of the stop, shape (4, lanes), int64.
-        factor: What the learning rate is multiplied with, shape (lanes,).
-        kept: Parameters put aside, flat.
-        patience: Epochs without improvement that stop a seed; 0: never.
-        restore_best: Put aside the parameters of the best epoch, not those of the stop.
-        min_delta: Smallest improvement that counts.
-        plateau: Epochs without improvement that halve the learning rate; 0: never.
+        schedule: An ``arguments.Schedule``.
+        group: An ``arguments.Group``.
+        filled: An ``arguments.Filled``.
+        stopping: An ``arguments.Stopping``.
         lanes: A tuple as long as there are lanes.
         rows: A tuple as long as a tile is high.
     """
+    inputs, targets, train_rows, validation_rows = data
+    batch_size, first_epoch, rates, epsilons = schedule
+    seeds, w, m, v, kept, best_loss, counters, factor = group
+    history, slots, snapshots = filled
+    patience, restore_best, min_delta, plateau = stopping
     n_lanes, height = len(lanes), len(rows)
     n, n_out, n_validation = train_rows.shape[1], sizes[-1], validation_rows.shape[1]
     steps = -(-n // batch_size)
@@ -336,39 +293,18 @@ def train_group(  # type: ignore[no-untyped-def]
                 gather(targets, order, first, count, y_true, lanes, rows)
                 y = forward(w, sizes, activation, h, lanes, rows)
                 loss = deviate(h, y, y_true, d, n_out, count, scale, loss, lanes, rows)
+                opens, closes = first == start, first + height >= start + size
                 backward(
-                    w,
-                    m,
-                    v,
-                    g,
-                    sizes,
-                    activation,
-                    h,
-                    d,
-                    first == start,
-                    first + height >= start + size,
-                    rate,
-                    epsilon,
-                    lanes,
-                    rows,
+                    w, m, v, g, sizes, activation, h, d, opens, closes, rate, epsilon, lanes, rows
                 )
             total, error = compensate(total, error, loss)
 
         row = 5 * block_epoch
         store(history, row, div(total, fill(n * n_out, total)))
         if n_validation > 0:
+            checked = validation_rows
             loss = mean_loss(
-                w,
-                sizes,
-                activation,
-                inputs,
-                targets,
-                validation_rows,
-                h,
-                d,
-                y_true,
-                lanes,
-                rows,
+                w, sizes, activation, inputs, targets, checked, h, d, y_true, lanes, rows
             )
             store(history, row + 1, loss)
         mean, mean_size, greatest = kernel_statistics(w, sizes, lanes)
