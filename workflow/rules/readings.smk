@@ -85,7 +85,7 @@ rule page:
     params:
         study="results/{study}/study.json",
         title=STUDY.title,
-        code=source_digest("iksamples.paper.readings_page"),
+        code=source_digest("iksamples.report.readings"),
         results="results/{study}",
         folder=subpath(output.html, parent=True),
     shell:

@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from iksamples.report import answers, errors, markdown, run, style
+from iksamples.report import answers, errors, markdown, paper, run, style
 from iksamples.report.data import read_report_data
 from iksamples.report.figures import Drawing
 from iksamples.study import Study
@@ -147,7 +147,7 @@ def page(title: str, body: str) -> str:
 def text_environment() -> Environment:
     """Templates of Markdown: every value is escaped for it, floats need a filter that rounds."""
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader("iksamples.report"), PackageLoader("iksamples.paper")]),
+        loader=PackageLoader("iksamples.report"),
         autoescape=True,
         finalize=markdown.escaped,
         undefined=StrictUndefined,
@@ -173,8 +173,6 @@ def html_environment() -> Environment:
 
 def _paper(environment: Environment, data: Any, pictures: Pictures) -> Markup:
     """The sections of a study that was held against the paper; else nothing."""
-    from iksamples.paper import report as paper
-
     if not data.study.paper:
         return Markup("")
     template = environment.get_template(paper.TEMPLATE)
