@@ -19,6 +19,8 @@ def package(tmp_path, monkeypatch):
     (folder / "__init__.py").write_text("")
     (folder / "deep" / "__init__.py").write_text("")
     (folder / "deep" / "data.csv").write_text("a\n1\n")
+    (folder / "deep" / "templates").mkdir()
+    (folder / "deep" / "templates" / "page.md.j2").write_text("a\n1\n")
     (folder / "base.py").write_text("x = 1\n")
     (folder / "deep" / "step.py").write_text("import os\ndef f():\n    from toy.base import x\n")
     (folder / "other.py").write_text("y = 2\n")
@@ -41,9 +43,10 @@ def test_an_edit_changes_the_digests_of_what_imports_it_and_no_others(package):
     assert digests(package)[1] == other
 
 
-def test_data_beside_a_package_counts(package):
+@pytest.mark.parametrize("data", ["data.csv", "templates/page.md.j2"])
+def test_data_in_a_package_counts(package, data):
     step, other = digests(package)
-    (package / "deep" / "data.csv").write_text("a\n2\n")
+    (package / "deep" / data).write_text("a\n2\n")
     assert digests(package)[0] != step
     assert digests(package)[1] == other
 
