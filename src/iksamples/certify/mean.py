@@ -101,27 +101,22 @@ def certify_mean(
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
-        IksamplesError: As ``certify_sup``.
+        IksamplesError: As ``certify_stack``.
     """
     began = time.perf_counter()
     errors = _errors(network, row, chain, region, target)
     cells = _Cells(errors)
-    low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
-        fresh_low, fresh_high, fresh_weight = cells.bound_new(_mean_of_cells)
-        low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
-        weight = np.concatenate([weight, fresh_weight])
+        cells.bound_new(_mean_of_cells)
         volume = cells.volume
-        least = float(volume @ low) - float(errors.slack[0])
-        most = float(volume @ high) + float(errors.slack[0])
+        least = float(volume @ cells.least) - float(errors.slack[0])
+        most = float(volume @ cells.most) + float(errors.slack[0])
         allowed = max(rtol * (least + most), 2 * atol_mm)
         done = np.isfinite(most) and most - least <= allowed
-        if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
-            return MeanError(
-                max(least, 0.0), most, cells.bounded, time.perf_counter() - began, done
-            )
-        keep = cells.split(volume * (high - low), allowed, weight)
-        low, high, weight = low[keep], high[keep], weight[keep]
+        spent = time.perf_counter() - began
+        if done or cells.bounded >= max_boxes or spent > time_limit_s:
+            return MeanError(max(least, 0.0), most, cells.bounded, spent, done)
+        cells.split(volume * (cells.most - cells.least), allowed)
 
 
 def certify_coverage(
@@ -153,7 +148,7 @@ def certify_coverage(
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
-        IksamplesError: As ``certify_sup``, or the tolerance is not positive.
+        IksamplesError: As ``certify_stack``, or the tolerance is not positive.
     """
     if not (np.isfinite(tolerance_mm) and tolerance_mm > 0):
         raise IksamplesError(f"the tolerance must be a positive length; got {tolerance_mm} mm.")
@@ -161,36 +156,22 @@ def certify_coverage(
     errors = _errors(network, row, chain, region, target)
     slack = float(errors.slack[0])
     cells = _Cells(errors)
-    low, high, weight = np.empty(0), np.empty(0), np.empty((0, region.n_inputs))
     while True:
-        fresh_low, fresh_high, fresh_weight = cells.bound_new(
-            lambda residual: _share_of_cells(residual, tolerance_mm, slack)
-        )
-        low, high = np.concatenate([low, fresh_low]), np.concatenate([high, fresh_high])
-        weight = np.concatenate([weight, fresh_weight])
+        cells.bound_new(lambda residual: _share_of_cells(residual, tolerance_mm, slack))
         volume = cells.volume
-        undecided = (low < 1.0) & (high > 0.0)
-        least, most = float(volume @ low), float(volume @ high)
+        undecided = (cells.least < 1.0) & (cells.most > 0.0)
+        least, most = float(volume @ cells.least), float(volume @ cells.most)
         left = float(volume @ undecided)
         done = most - least <= atol and left <= mixed
-        if done or cells.bounded >= max_boxes or time.perf_counter() - began > time_limit_s:
-            bad_low, bad_high = cells.corners_mm(high <= 0.0)
-            return Coverage(
-                float(tolerance_mm),
-                least,
-                most,
-                bad_low,
-                bad_high,
-                left,
-                cells.bounded,
-                time.perf_counter() - began,
-                done,
-            )
+        spent = time.perf_counter() - began
+        if done or cells.bounded >= max_boxes or spent > time_limit_s:
+            bad = cells.corners_mm(cells.most <= 0.0)
+            limit_mm = float(tolerance_mm)
+            return Coverage(limit_mm, least, most, *bad, left, cells.bounded, spent, done)
         if most - least > atol:
-            keep = cells.split(volume * (high - low), atol, weight)
+            cells.split(volume * (cells.most - cells.least), atol)
         else:
-            keep = cells.split(volume * undecided, 0.0, weight)
-        low, high, weight = low[keep], high[keep], weight[keep]
+            cells.split(volume * undecided, 0.0)
 
 
 def _errors(
@@ -201,7 +182,13 @@ def _errors(
 
 
 class _Cells:
-    """Cells that tile the region; the new ones wait at the end to be bounded."""
+    """Cells that tile the region; the new ones wait at the end to be bounded.
+
+    Attributes:
+        least: Of each cell that is bounded, at least the value sought.
+        most: At most the value sought.
+        weight: What is lost along each axis.
+    """
 
     def __init__(self, errors: ErrorOverBoxes) -> None:
         self.region = errors.region
@@ -217,6 +204,7 @@ class _Cells:
         self.errors = errors
         self.bounded = 0
         self.new = len(self.low)
+        self.least, self.most, self.weight = np.empty(0), np.empty(0), np.empty((0, d))
 
     @property
     def volume(self) -> Floats:
@@ -230,11 +218,9 @@ class _Cells:
         low = self.region.lower[part] + size * self.low[mask]
         return low, low + size * self.edge[mask]
 
-    def bound_new(
-        self, bound: Callable[[Residual], tuple[Floats, Floats]]
-    ) -> tuple[Floats, Floats, Floats]:
+    def bound_new(self, bound: Callable[[Residual], tuple[Floats, Floats]]) -> None:
         """Bounds the new cells."""
-        parts = []
+        parts = [(self.least, self.most, self.weight)]
         for first in range(len(self.low) - self.new, len(self.low), 1024):
             some = slice(first, first + 1024)
             at, low, edge = self.part[some], self.low[some], self.edge[some]
@@ -247,13 +233,12 @@ class _Cells:
                 known = np.isfinite(weight).all(axis=1, keepdims=True)
                 parts.append((*bound(residual), np.where(known, weight, edge)))
         self.bounded += self.new
-        low_bound, high_bound, weight = (
+        self.least, self.most, self.weight = (
             np.concatenate(column) for column in zip(*parts, strict=True)
         )
-        return low_bound, high_bound, weight
 
-    def split(self, loss: Floats, allowed: float, weight: Floats) -> NDArray[np.int64]:
-        """Halves the cells that lose most; returns which cells are kept as they are.
+    def split(self, loss: Floats, allowed: float) -> None:
+        """Halves the cells that lose most, whose halves are new.
 
         A cell may stay as it is while it loses no more than its part of what is allowed.
         """
@@ -261,7 +246,7 @@ class _Cells:
         chosen = order[loss[order] > 0.5 * allowed / len(loss)]
         rows = np.arange(len(chosen))
         part, low, edge = self.part[chosen], self.low[chosen], self.edge[chosen]
-        axis = weight[chosen].argmax(axis=1)
+        axis = self.weight[chosen].argmax(axis=1)
         edge[rows, axis] *= 0.5
         twin = low.copy()
         twin[rows, axis] += edge[rows, axis]
@@ -271,8 +256,8 @@ class _Cells:
         self.part = np.concatenate([self.part[kept], part, part])
         self.low = np.concatenate([self.low[kept], low, twin])
         self.edge = np.concatenate([self.edge[kept], edge, edge])
+        self.least, self.most, self.weight = self.least[kept], self.most[kept], self.weight[kept]
         self.new = 2 * len(chosen)
-        return kept
 
 
 @dataclass(frozen=True, eq=False)
