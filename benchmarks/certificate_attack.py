@@ -11,7 +11,7 @@ import numpy as np
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.checker import Claim, Verification, verify
-from iksamples.certify.search import Certificate, Leaves, certify_sup
+from iksamples.certify.search import Certificate, Leaves, certify_stack
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -146,7 +146,7 @@ def prove(case: Case, stack: StackedMLP, **limits: int) -> tuple[Certificate, Ve
     """The search's bounds, and what the checker says of them."""
     chain, _, lower, upper = case
     region = Region.box(lower, upper)
-    found = certify_sup(stack, 0, chain, region, rtol=RTOL, keep_leaves=True, **limits)
+    [found] = certify_stack(stack.select([0]), chain, region, rtol=RTOL, keep_leaves=True, **limits)
     claim = Claim(stack, 0, chain, region, found.upper, found.lower, found.argmax)
     return found, verify(claim, found.leaves)
 

@@ -24,7 +24,7 @@ from iksamples.arm.chain import SerialChain
 from iksamples.arm.load import load_arm
 from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
-from iksamples.certify.search import certify_sup
+from iksamples.certify.search import certify_stack
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -176,7 +176,9 @@ def cost(title: str, cases: list[Case], rtol: float, target: Target | None = Non
         times = []
         for _ in range(5 if len(lower) == 3 else 1):
             began = time.perf_counter()
-            found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol, **asked)
+            [found] = certify_stack(
+                stack.select([0]), chain, Region.box(lower, upper), rtol=rtol, **asked
+            )
             times.append(time.perf_counter() - began)
         seconds.append(1e3 * np.median(times))
         boxes.append(found.boxes)
@@ -212,7 +214,7 @@ def dense(cases: list[Case], n: int = 10**7) -> None:
     rng = np.random.default_rng(0)
     above, parts = 0, []
     for chain, stack, lower, upper in cases:
-        found = certify_sup(stack, 0, chain, Region.box(lower, upper))
+        [found] = certify_stack(stack.select([0]), chain, Region.box(lower, upper))
         largest = 0.0
         for _ in range(n // 50_000):
             errors = plain_errors(stack, rng.uniform(lower, upper, (50_000, 3)))
@@ -230,7 +232,9 @@ def checked(cases: list[Case], rtol: float) -> None:
     """Has the checker prove certificates again, with every rounding counted."""
     seconds, apart, leaves, proved = [], [], [], 0
     for chain, stack, lower, upper in cases:
-        found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol, keep_leaves=True)
+        [found] = certify_stack(
+            stack.select([0]), chain, Region.box(lower, upper), rtol=rtol, keep_leaves=True
+        )
         began = time.perf_counter()
         result = verify(
             Claim(
@@ -302,7 +306,7 @@ def agreement(cases: list[Case], rtol: float = 0.05) -> None:
     both, seconds, mine, ratios = 0, [], [], []
     for chain, stack, lower, upper in cases:
         began = time.perf_counter()
-        found = certify_sup(stack, 0, chain, Region.box(lower, upper), rtol=rtol)
+        [found] = certify_stack(stack.select([0]), chain, Region.box(lower, upper), rtol=rtol)
         mine.append(time.perf_counter() - began)
         bounds, largest, settled = lirpa_bounds(stack), 0.0, 0.0
         began = time.perf_counter()

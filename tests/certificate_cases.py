@@ -7,6 +7,7 @@ import numpy as np
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.checker import Claim, Verification, verify
+from iksamples.certify.search import Certificate, certify_stack
 from iksamples.network import StackedMLP
 
 
@@ -142,3 +143,9 @@ def check(certificate, network, row, chain, region, **changed) -> Verification:
         "upper": certificate.upper, "lower": certificate.lower, "argmax": certificate.argmax,
     }  # fmt: skip
     return verify(Claim(**{**claim, **changed}), certificate.leaves)
+
+
+def certify_sup(network, row, chain, region, **how) -> Certificate:
+    """The certificate of one network of a stack."""
+    [certificate] = certify_stack(network.select([row]), chain, region, **how)
+    return certificate

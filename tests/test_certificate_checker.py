@@ -9,6 +9,7 @@ import pytest
 from certificate_cases import (
     ONE,
     Along,
+    certify_sup,
     check,
     linear_network,
     make_chain,
@@ -28,7 +29,7 @@ from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
 from iksamples.certify.jets import Linkage
 from iksamples.certify.rounding import inference_slack_mm
-from iksamples.certify.search import Leaves, certify_sup
+from iksamples.certify.search import Leaves
 from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP

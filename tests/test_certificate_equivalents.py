@@ -4,13 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certificate_cases import check, make_chain, plain_answer, plain_tip, points_in, random_network
+from certificate_cases import (
+    certify_sup,
+    check,
+    make_chain,
+    plain_answer,
+    plain_tip,
+    points_in,
+    random_network,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.rounding import inference_slack_mm
-from iksamples.certify.search import certify_stack, certify_sup
+from iksamples.certify.search import certify_stack
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 

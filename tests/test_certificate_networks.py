@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from certificate_cases import (
+    certify_sup,
     plain_answer,
     plain_tip,
     points_in,
@@ -14,7 +15,7 @@ from certificate_cases import (
 )
 
 from iksamples.certify.residual import ErrorOverBoxes
-from iksamples.certify.search import Leaves, _climb, certify_stack, certify_sup
+from iksamples.certify.search import Leaves, _climb, certify_stack
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 

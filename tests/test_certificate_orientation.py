@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from certificate_cases import (
+    certify_sup,
     check,
     make_chain,
     plain_answer,
@@ -19,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
 from iksamples.certify.rounding import inference_slack_rad
-from iksamples.certify.search import certify_stack, certify_sup
+from iksamples.certify.search import certify_stack
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from certificate_cases import check
+from certificate_cases import certify_sup, check
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,7 @@ from iksamples.arm.load import load_arm
 from iksamples.certify import residual
 from iksamples.certify.jets import cubic_remainder_mm
 from iksamples.certify.mean import certify_coverage, certify_mean
-from iksamples.certify.search import certify_stack, certify_sup
+from iksamples.certify.search import certify_stack
 from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from certificate_cases import (
+    certify_sup,
     check,
     plain_answer,
     plain_tip,
@@ -14,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.certify.mean import certify_coverage, certify_mean
-from iksamples.certify.search import certify_sup
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 

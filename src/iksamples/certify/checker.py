@@ -110,7 +110,7 @@ def verify(claim: Claim, leaves: Leaves | None) -> Verification:
 
     Args:
         claim: What is to be proved.
-        leaves: Boxes over each of which the error is to be bounded (``certify_sup(...,
+        leaves: Boxes over each of which the error is to be bounded (``certify_stack(...,
             keep_leaves=True).leaves``). Only where they lie is looked at, and nothing of it is
             trusted.
 

@@ -103,58 +103,6 @@ class Certificate:
     leaves: Leaves | None = None
 
 
-def certify_sup(
-    network: StackedMLP,
-    row: int,
-    chain: SerialChain,
-    region: Region,
-    *,
-    rtol: float = 1e-3,
-    seeds: ArrayLike | None = None,
-    max_boxes: int = 1_000_000,
-    time_limit_s: float = 60.0,
-    keep_leaves: bool = False,
-    start: Leaves | None = None,
-    target: Target | None = None,
-    measure: Measure = "position",
-) -> Certificate:
-    """The largest error of one network over a region, enclosed by branch and bound.
-
-    Args:
-        network: Stacked networks.
-        row: Which of them.
-        chain: The arm.
-        region: The inputs that it is about.
-        rtol: The search ends once upper <= (1 + rtol) lower.
-        seeds: Points of the region worth trying, such as the training points, shape (n, in).
-        max_boxes: Boxes to bound, at most.
-        time_limit_s: Time to spend, at most [s].
-        keep_leaves: Whether to keep the boxes of the proof.
-        start: Boxes to start from, such as the leaves for a similar network. Many similar networks
-            are certified faster together, by ``certify_stack``.
-        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
-        measure: ``"position"`` [mm] or ``"angle"`` [rad].
-
-    Raises:
-        IksamplesError: The network has a number that is not finite or an unknown activation, or
-            things do not fit together.
-    """
-    [certificate] = certify_stack(
-        network.select([row]),
-        chain,
-        region,
-        rtol=rtol,
-        seeds=seeds,
-        max_boxes=max_boxes,
-        time_limit_s=time_limit_s,
-        keep_leaves=keep_leaves,
-        start=start,
-        target=target,
-        measure=measure,
-    )
-    return certificate
-
-
 def certify_stack(
     network: StackedMLP | Table,
     chain: SerialChain,
@@ -169,9 +117,26 @@ def certify_stack(
     target: Target | None = None,
     measure: Measure = "position",
 ) -> list[Certificate]:
-    """``certify_sup`` for every network of a stack, searched together, or for a look-up table.
+    """The largest error of each network of a stack, or of a look-up table, over a region.
 
-    ``max_boxes`` and ``time_limit_s`` count per network. One certificate per network, in order.
+    Enclosed by branch and bound, all networks together. One certificate per network, in order.
+
+    Args:
+        network: Stacked networks, or a look-up table.
+        chain: The arm.
+        region: The inputs that it is about.
+        rtol: The search ends once upper <= (1 + rtol) lower.
+        seeds: Points of the region worth trying, such as the training points, shape (n, in).
+        max_boxes: Boxes to bound per network, at most.
+        time_limit_s: Time to spend per network, at most [s].
+        keep_leaves: Whether to keep the boxes of the proof.
+        start: Boxes to start from, such as the leaves for similar networks.
+        target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+        measure: ``"position"`` [mm] or ``"angle"`` [rad].
+
+    Raises:
+        IksamplesError: A network has a number that is not finite or an unknown activation, or
+            things do not fit together.
     """
     objective = ErrorOverBoxes(network, chain, region, target, measure)
     first = None
