@@ -142,7 +142,7 @@ def _over(region_share: float) -> str:
     """What everything is over: the workspace, or the part of it that the arm can use."""
     if region_share == 1:
         return "the workspace"
-    return f"the usable part of the workspace ({percent(region_share)} of the box)"
+    return f"the usable part of the workspace ({percent_down(region_share)} of the box)"
 
 
 def _limit(tolerance: Tolerance) -> str:
