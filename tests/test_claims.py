@@ -9,7 +9,8 @@ import pytest
 from iksamples.arm.load import load_arm
 from iksamples.paper import claims
 from iksamples.paper import equations as paper
-from iksamples.paper.evidence import Ends, Evidence, GridEvidence
+from iksamples.paper.evidence import Evidence, GridEvidence
+from iksamples.stats import Interval
 
 
 NAMES = {"mean": "mean of w", "max_abs": "largest |w|"}
@@ -49,13 +50,13 @@ def kind() -> Evidence:
         row_sums_mm=np.array([30.0, 59.0]),
         row_sums_by_range=np.array([0.4, 0.9]),
         scale_mm=60.0,
-        fall=Ends(0.0, -0.1, 0.1),
+        fall=Interval(0.0, -0.1, 0.1),
         fall_n=(125, 216),
         paper_n=n,
         paper_error_mm=np.array([20.0, 5.0, 2.0, 1.0, 1.0]),
         paper_estimate_mm=paper.estimate_mm(0.15, n, 60.0),
         paper_scale_mm=60.0,
-        floors_mm={"here": Ends(0.1, 0.0, 0.2)},
+        floors_mm={"here": Interval(0.1, 0.0, 0.2)},
         tails_mm={"here": 20.0},
         misfits={"here": 0.1},
     )
@@ -175,16 +176,16 @@ def test_verdict_on_the_average_weight(kind: Evidence) -> None:
 
 
 def test_verdicts_on_the_fall(kind: Evidence) -> None:
-    falling = replace(kind, fall=Ends(0.25, 0.15, 0.34))
+    falling = replace(kind, fall=Interval(0.25, 0.15, 0.34))
     assert claims.error_saturates(falling).verdict == "does not hold"
     assert "25 % from 125 to 216" in claims.error_saturates(falling).evidence
     assert claims.error_saturates(replace(kind, fall=None)).verdict == "cannot be tested"
-    scattered = replace(kind, fall=Ends(0.25, -0.1, 0.5))
+    scattered = replace(kind, fall=Interval(0.25, -0.1, 0.5))
     assert claims.error_saturates(scattered).verdict == "cannot be tested"
-    flat = replace(kind, fall=Ends(0.02, -0.03, 0.07))
+    flat = replace(kind, fall=Interval(0.02, -0.03, 0.07))
     assert claims.error_saturates(flat).verdict == "holds"
-    floor = {"here": Ends(1.5, 1.3, 1.8), "the paper’s column": Ends(0.1, 0.0, 0.4)}
+    floor = {"here": Interval(1.5, 1.3, 1.8), "the paper’s column": Interval(0.1, 0.0, 0.4)}
     numbers = dict.fromkeys(floor, 20.0), dict.fromkeys(floor, 0.1)
     assert claims.error_follows_the_square(floor, *numbers).verdict == "holds in part"
-    unknown = {"here": Ends(1.5, np.nan, np.nan)}
+    unknown = {"here": Interval(1.5, np.nan, np.nan)}
     assert claims.error_follows_the_square(unknown, *numbers).verdict == "cannot be tested"

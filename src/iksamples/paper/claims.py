@@ -13,7 +13,8 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.paper import equations as paper
-from iksamples.paper.evidence import Ends, Evidence, GridEvidence
+from iksamples.paper.evidence import Evidence, GridEvidence
+from iksamples.stats import Interval
 
 
 Verdict = Literal["holds", "does not hold", "holds in part", "cannot be tested"]
@@ -324,7 +325,7 @@ def error_saturates(evidence: Evidence) -> Claim:
 
 
 def error_follows_the_square(
-    floors_mm: Mapping[str, Ends], tails_mm: Mapping[str, float], misfits: Mapping[str, float]
+    floors_mm: Mapping[str, Interval], tails_mm: Mapping[str, float], misfits: Mapping[str, float]
 ) -> Claim:
     """Eq. 25 goes to zero as 1/(m - 1)^2; whether the errors do, or stay above a floor."""
     claim = "The error falls as 1/(m − 1)², to nothing"

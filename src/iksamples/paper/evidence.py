@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from iksamples.arm.chain import Floats
+from iksamples.stats import Interval
 
 
 AVERAGE_NAMES = {
@@ -14,14 +14,6 @@ AVERAGE_NAMES = {
     "max_abs": "largest |w|",
 }
 """Meanings of the paper's average weight, in words."""
-
-
-class Ends(NamedTuple):
-    """An estimate with its 95 % interval; the ends are NaN where there is none."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +89,12 @@ class Evidence:
     row_sums_mm: Floats
     row_sums_by_range: Floats
     scale_mm: float
-    fall: Ends | None
+    fall: Interval | None
     fall_n: tuple[int, int]
     paper_n: Floats
     paper_error_mm: Floats
     paper_estimate_mm: Floats
     paper_scale_mm: float
-    floors_mm: Mapping[str, Ends]
+    floors_mm: Mapping[str, Interval]
     tails_mm: Mapping[str, float]
     misfits: Mapping[str, float]

@@ -11,11 +11,11 @@ from iksamples.arm.chain import Floats
 from iksamples.evaluation.errors import send
 from iksamples.paper.audit import input_jacobian, scale_mm
 from iksamples.paper.claims import judge_claims
-from iksamples.paper.evidence import AVERAGE_NAMES, Ends, Evidence, GridEvidence
+from iksamples.paper.evidence import AVERAGE_NAMES, Evidence, GridEvidence
 from iksamples.paper.table import paper_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import region_points
-from iksamples.stats import FEWEST_SEEDS, draws
+from iksamples.stats import FEWEST_SEEDS, Interval, draws
 from iksamples.study import NETWORK, Study
 from iksamples.task import Task
 
@@ -56,16 +56,16 @@ def claims_table(
     return pd.DataFrame([vars(row) for row in rows], columns=columns)
 
 
-def fall(before: Floats, after: Floats) -> Ends:
+def fall(before: Floats, after: Floats) -> Interval:
     """By which share the mean falls from one group of seeds to another, with its 95 % interval."""
     share = 1 - float(after.mean() / before.mean())
     if min(len(before), len(after)) < FEWEST_SEEDS:
-        return Ends(share, np.nan, np.nan)
+        return Interval(share, np.nan, np.nan)
     first, second = (
         values[draws(len(values), np.random.default_rng([i, len(values)]), _RESAMPLES)].mean(axis=1)
         for i, values in enumerate((before, after))
     )
-    return Ends(share, *(float(q) for q in np.quantile(1 - second / first, [0.025, 0.975])))
+    return Interval(share, *(float(q) for q in np.quantile(1 - second / first, [0.025, 0.975])))
 
 
 def _gather(study: Study, task: Task, sound: Sequence[Cell], proofs: "pd.DataFrame") -> Evidence:
@@ -95,7 +95,7 @@ def _gather(study: Study, task: Task, sound: Sequence[Cell], proofs: "pd.DataFra
         paper_error_mm=published["paper_error_mm"].to_numpy(float),
         paper_estimate_mm=published["paper_estimate_mm"].to_numpy(float),
         paper_scale_mm=_PAPER_SIDE_MM,
-        floors_mm={name: Ends(*curve.floor_mm) for name, curve in known.items()},
+        floors_mm={name: curve.floor_mm for name, curve in known.items()},
         tails_mm={name: curve.scale_mm.value for name, curve in known.items()},
         misfits={name: _misfit(curve) for name, curve in known.items()},
     )
