@@ -1,12 +1,10 @@
 """What each training came to, in the one error that the study's tolerance is about."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
-from iksamples.files import checked
 from iksamples.results import Cell
 from iksamples.study import Study, Tolerance
 
@@ -26,14 +24,6 @@ COLUMNS = (
     "attained_mm",
 )
 """Columns of the outcomes; ``outcomes`` says what they hold."""
-
-
-def certificates(results: str | Path) -> "pd.DataFrame | None":
-    """What the report and the tracking read of certificates; None where there are none."""
-    import pandas as pd
-
-    path = Path(results) / "certificates.csv"
-    return pd.read_csv(checked(path)) if path.exists() else None
 
 
 def is_certifiable(tolerance: Tolerance) -> bool:

@@ -3,15 +3,11 @@
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from iksamples.certify.balls import UNIT, Ball, stack, up
 from iksamples.certify.checker_network import Terms, corners, mixed_pairs
 from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
-
-
-Floats = NDArray[np.float64]
 
 
 class CheckedTable:

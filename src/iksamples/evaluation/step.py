@@ -15,9 +15,6 @@ from iksamples.task import Task
 if TYPE_CHECKING:
     import pandas as pd
 
-TABLES = ("waypoints", "cube", "errors")
-"""The tables that an evaluation writes, by file name."""
-
 
 def evaluate(
     study: Study, task: Task, samples: SampleSet, method: str, folder: Path
