@@ -33,15 +33,12 @@ class GridCurve:
         scale_mm: b [mm].
         points_per_axis: The grids, shape (sizes,).
         observed_mm: What was fitted [mm], shape (sizes,).
-        chi2_per_dof: Squared deviations in units of the given ±, over the degrees of freedom; NaN
-            without a ±.
     """
 
     floor_mm: Interval
     scale_mm: Interval
     points_per_axis: Floats
     observed_mm: Floats
-    chi2_per_dof: float
 
     def at(self, points_per_axis: ArrayLike) -> Floats:
         """The curve's error [mm] on grids of so many points per axis."""
@@ -119,12 +116,8 @@ def _fit(
     scale = columns if sd is None else np.broadcast_to(sd[usable], columns.shape)
     weight = np.where(sound, np.where(sound, scale, 1.0) ** -2.0, 0.0)
     a, b, _ = _solve(_grid(m)[None], np.where(sound, columns, 0.0), weight)
-    chi2 = np.nan
-    if sd is not None:
-        deviation = (a[0] + b[0] * _grid(m) - columns[0]) / scale[0]
-        chi2 = float(deviation @ deviation / (len(m) - 2))
     floor, size = (interval(float(part[0, 0]), part[1:, 0]) for part in (a, b))
-    return GridCurve(floor, size, m, columns[0], chi2)
+    return GridCurve(floor, size, m, columns[0])
 
 
 def _grid(points_per_axis: Floats) -> Floats:
