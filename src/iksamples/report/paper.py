@@ -13,14 +13,14 @@ from iksamples.report import style
 from iksamples.report.data import ReportData
 from iksamples.report.figures import lines
 from iksamples.report.markdown import plus_minus
-from iksamples.study import DoubleRectangle, Network, Robot, Training, Workspace
+from iksamples.study import NETWORK, DoubleRectangle, Robot, Workspace
+from iksamples.text import is_paper_recipe
 
 
 TABLE, CLAIMS = "table.csv", "claims.csv"
 TEMPLATE = "paper.md.j2"
 
 _N, _ERROR = "number of samples", "mean position error [mm]"
-_NO_RECIPE = {"seeds", "first_seed", "snapshots", "engine", "accelerator"}
 
 
 def values(data: ReportData) -> dict[str, Any]:
@@ -39,7 +39,6 @@ def values(data: ReportData) -> dict[str, Any]:
     bounds, members = data.table("bounds"), data.table("members")
     path = study.evaluation.paths[data.first_path]
     held = members.groupby("n_samples")[["n_validation", "n_test"]].first()
-    recipe = [one.model_dump(exclude=_NO_RECIPE) for one in (study.training, Training())]
     return {
         "table": table,
         "results": results,
@@ -47,7 +46,7 @@ def values(data: ReportData) -> dict[str, Any]:
         "own_task": study.robot == Robot()
         and study.workspace == Workspace()
         and isinstance(path, DoubleRectangle),
-        "own_recipe": study.network == Network() and recipe[0] == recipe[1],
+        "own_recipe": is_paper_recipe(study.all_methods[NETWORK]),
         "below": int((measured["estimate_mm"] < measured["error_mean_mm"]).sum()),
         "sizes": len(measured),
         "claims": claims,
