@@ -11,6 +11,7 @@ from iksamples.answer.outcomes import is_certifiable
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
 from iksamples.study import Study
+from iksamples.text import several
 from iksamples.training.run import choose_engine
 
 
@@ -129,20 +130,16 @@ def plan_text(study: Study, plan: Plan, cores: int) -> str:
     jobs = sum(step.jobs for step in plan.steps)
     of_sizes = f"{sizes[0]} to {sizes[-1]}" if len(sizes) > 1 else f"{sizes[0]}"
     head = (
-        f"{study.name}: {_several(len(study.all_methods), 'method')} on "
-        f"{_several(len(sets), 'set')} of {of_sizes} samples, {jobs} jobs"
+        f"{study.name}: {several(len(study.all_methods), 'method')} on "
+        f"{several(len(sets), 'set')} of {of_sizes} samples, {jobs} jobs"
     )
     tail = (
-        f"Expected: about {in_words(plan.seconds(cores))} with {cores} core{'s' * (cores > 1)}, "
+        f"Expected: about {in_words(plan.seconds(cores))} with {several(cores, 'core')}, "
         f"{plan.memory_mb / 1000:.1f} GB of memory for the largest job.\n"
         "As on the machine of docs/benchmarks.md, with no results there yet but trained networks;\n"
         "another machine may take half or twice as long."
     )
     return "\n".join([head, "", *rows, "", tail])
-
-
-def _several(n: int, thing: str) -> str:
-    return f"{n} {thing}{'s' * (n != 1)}"
 
 
 def in_words(seconds: float) -> str:
