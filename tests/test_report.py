@@ -325,28 +325,6 @@ def test_the_command_writes_report_and_front_page(project: Path, tmp_path: Path)
     assert (tmp_path / "reports/index.html").is_file()
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium: the system's, or the one Playwright brings."""
-    from playwright.sync_api import Error, sync_playwright
-
-    arguments = [
-        "--no-sandbox",
-        "--disable-gpu",
-        "--no-first-run",
-        "--disable-background-networking",
-    ]
-    names = ("chromium", "chromium-browser", "google-chrome")
-    system = next((path for name in names if (path := shutil.which(name))), None)
-    with sync_playwright() as playwright:
-        try:
-            chromium = playwright.chromium.launch(executable_path=system, args=arguments)
-        except Error as error:
-            pytest.skip(f"no Chromium here: {error.message.splitlines()[0]}")
-        yield chromium
-        chromium.close()
-
-
 @pytest.fixture
 def opened(browser: Any, project: Path) -> Iterator[Any]:
     """The page in a window; fails on a complaint of the browser or any request but its own."""
