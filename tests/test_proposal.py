@@ -10,9 +10,9 @@ from iksamples.answer.next_poses import next_poses
 from iksamples.answer.proposal import disagreement_mm, propose, spread
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
-from iksamples.samples.designs import fill_distance
+from iksamples.samples.designs import fill_distance, full_grid
 from iksamples.samples.record import grid_samples, record_samples, region_points
-from iksamples.study import parse_study
+from iksamples.study import parse_study, read_study
 from iksamples.task import study_chain, study_task
 
 
@@ -195,3 +195,42 @@ def test_next_poses_are_usable_and_the_same_with_the_trained_weights(quick, tmp_
     (tmp_path / "other.safetensors").write_text("no weights")
     with pytest.raises(IksamplesError, match="not a file of trained networks"):
         next_poses(study, study_task(study), samples, 6, weights=tmp_path / "other.safetensors")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["planar2r", "scara"])
+def test_adaptive_samples_of_any_task(name):
+    """They start from the corners and are in the region, whatever the inputs and their units."""
+    study = read_study(f"config/studies/{name}.yaml")
+    task = study_task(study)
+    corners = 2 ** len(task.x)
+    first = max(8, corners)
+    sets = adaptive_sets(study, task, [first, first + 3])
+    small, large = sets[first], sets[first + 3]
+    assert {tuple(x) for x in full_grid(task.x.lower, task.x.upper, 2)} <= {
+        tuple(x) for x in small.x
+    }
+    np.testing.assert_array_equal(large.x[:first], small.x)
+    assert len(np.unique(large.x, axis=0)) == first + 3
+    assert task.region.contains(large.x).all()
+    assert task.reach(large.x).usable.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", ["disagreement", "worst"])
+def test_next_poses_of_another_arm_carry_their_units(strategy):
+    study = read_study(
+        "config/studies/scara.yaml",
+        changes={"training": {"optimizer": "adam", "epochs": 60}},
+    )
+    task = study_task(study)
+    samples = record_samples(study, task, "grid", 16)
+    table = next_poses(study, task, samples, 5, strategy)
+    joints = ["q_joint1_rad", "q_joint2_rad", "q_joint3_mm", "q_joint4_rad"]
+    inputs = ["x_mm", "y_mm", "z_mm", "yaw_rad"]
+    assert list(table.columns) == [*inputs, *joints, "disagreement_mm", "error_mm"]
+    x = table[inputs].to_numpy()
+    assert task.region.contains(x).all()
+    reached = task.arm.forward_mm(table[joints].to_numpy())
+    np.testing.assert_allclose(reached, x[:, :3], atol=1e-6)
+    assert (table["error_mm"] > 0).all()

@@ -48,6 +48,17 @@ class Space:
         """Number of coordinates."""
         return len(self.names)
 
+    @property
+    def as_lengths(self) -> Floats:
+        """What makes coordinates lengths that can be compared [1 or mm/rad], shape (coordinates,).
+
+        One for a length; the longest angle's range counts as much as the longest length's.
+        """
+        range_, lengths = self.upper - self.lower, np.array([unit == "mm" for unit in self.units])
+        if lengths.all():
+            return np.ones(len(self))
+        return np.where(lengths, 1.0, range_[lengths].max() / range_[~lengths].max())
+
     def columns(self, prefix: str = "") -> list[str]:
         """Names of a table's columns, each with its unit: ``x_mm``, ``q_elbow_rad``."""
         return [f"{prefix}{name}_{unit}" for name, unit in zip(self.names, self.units, strict=True)]

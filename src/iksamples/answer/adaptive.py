@@ -76,30 +76,33 @@ def train_seeds(study: Study, samples: SampleSet, progress: bool = False) -> Sta
 
 
 def _growing(study: Study, task: Task) -> Iterator[Floats]:
-    """The design's points after each round [mm], shape (n, 3)."""
+    """The design's points after each round [mm or rad], shape (n, d)."""
     guide = _guide(study)
     points = _start(task)
     yield points
-    rounds = 0
+    first, rounds = len(points), 0
     while True:
         rounds += 1
         joints = task.reach(points).joints
         samples = sample_set(guide, task, ADAPTIVE, ADAPTIVE, points, joints)
         network = train_seeds(guide, samples)
-        k = round(_FIRST * _GROWTH**rounds) - len(points)
+        k = round(first * _GROWTH**rounds) - len(points)
         points = np.concatenate([points, propose(task, samples, network, k)])
         yield points
 
 
 def _start(task: Task) -> Floats:
-    """The workspace's usable corners, and where some are not usable, the points farthest off."""
+    """The workspace's usable corners, and up to their number or 8 the points farthest off."""
     corners = full_grid(task.x.lower, task.x.upper, 2)
     points = corners[task.region.contains(corners)]
     region = region_points(task.region, _REGION_POINTS)
     if not len(points):
         points = region[:1]
-    alike = np.ones(len(region))
-    return np.concatenate([points, spread(region, alike, points, _FIRST - len(points))])
+    more = max(_FIRST, len(corners)) - len(points)
+    if not more:
+        return points
+    mm, alike = task.x.as_lengths, np.ones(len(region))
+    return np.concatenate([points, spread(region * mm, alike, points * mm, more) / mm])
 
 
 def _guide(study: Study) -> Study:

@@ -59,7 +59,7 @@ def next_poses(
     columns: dict[str, Floats] = dict(zip(task.x.columns(), positions.T, strict=True))
     columns |= dict(zip(task.q.columns("q_"), joints.T, strict=True))
     columns["disagreement_mm"] = disagreement_mm(network, task.arm, positions)
-    columns["error_mm"] = largest_error_mm(network, task.arm, positions)
+    columns["error_mm"] = largest_error_mm(network, task, positions)
     return pd.DataFrame(columns)
 
 

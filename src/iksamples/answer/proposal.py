@@ -67,6 +67,7 @@ def propose(
         raise IksamplesError(f"{k} positions asked for; ask for at least 1.")
     network = finite(network)
     wanted = max(_CANDIDATES, 2 ** int(np.ceil(np.log2(_CANDIDATES_PER_POINT * k))))
+    mm = task.x.as_lengths
     if strategy == "disagreement":
         if network.n_seeds < 2:
             raise IksamplesError(
@@ -74,19 +75,22 @@ def propose(
                 "use the strategy 'worst'."
             )
         points = region_points(task.region, wanted)
-        return spread(points, disagreement_mm(network, task.arm, points), samples.x, k)
+        weights = disagreement_mm(network, task.arm, points)
+        return spread(points * mm, weights, samples.x * mm, k) / mm
     points = _worst_points(task, network, k)
-    found = spread(points, largest_error_mm(network, task.arm, points), samples.x, k, True)
+    weights = largest_error_mm(network, task, points)
+    found = spread(points * mm, weights, samples.x * mm, k, True) / mm
     if len(found) == k:
         return found
     # The worst points were too few, or are recorded already: the workspace has others.
     points = region_points(task.region, wanted)
     have = np.concatenate([samples.x, found])
-    rest = spread(points, largest_error_mm(network, task.arm, points), have, k - len(found))
+    weights = largest_error_mm(network, task, points)
+    rest = spread(points * mm, weights, have * mm, k - len(found)) / mm
     return np.concatenate([found, rest])
 
 
-def disagreement_mm(network: StackedMLP, chain: SerialChain, positions_mm: ArrayLike) -> Floats:
+def disagreement_mm(network: StackedMLP, chain: SerialChain, x: ArrayLike) -> Floats:
     """How far the seeds send the arm from where they send it on average.
 
     The root mean square over the seeds of the distance to their mean position, a deep ensemble's
@@ -95,7 +99,7 @@ def disagreement_mm(network: StackedMLP, chain: SerialChain, positions_mm: Array
     Args:
         network: The seeds.
         chain: The arm.
-        positions_mm: Where it is sent [mm], shape (points, 3).
+        x: Inputs [mm or rad], shape (points, d).
 
     Returns:
         Shape (points,) [mm].
@@ -105,27 +109,26 @@ def disagreement_mm(network: StackedMLP, chain: SerialChain, positions_mm: Array
         reached = chain.forward_mm(network.predict(points))
         return np.sqrt(np.mean(np.sum((reached - reached.mean(axis=0)) ** 2, axis=-1), axis=0))
 
-    positions = np.asarray(positions_mm, float)
-    return np.concatenate([block(part) for part in _blocks(positions)])
+    return np.concatenate([block(part) for part in _blocks(np.asarray(x, float))])
 
 
-def largest_error_mm(network: StackedMLP, chain: SerialChain, positions_mm: Floats) -> Floats:
+def largest_error_mm(network: StackedMLP, task: Task, x: Floats) -> Floats:
     """The largest position error of any seed, by the arm's model.
 
     Args:
         network: The seeds.
-        chain: The arm.
-        positions_mm: Where it is sent [mm], shape (points, 3).
+        task: What they have learnt.
+        x: Inputs [mm or rad], shape (points, d).
 
     Returns:
         Shape (points,) [mm].
     """
 
     def block(points: Floats) -> Floats:
-        reached = chain.forward_mm(network.predict(points))
-        return np.linalg.norm(reached - points, axis=-1).max(axis=0)
+        joints = network.predict(points)
+        return task.target.position_error_mm(task.drawing, joints, points).max(axis=0)
 
-    return np.concatenate([block(part) for part in _blocks(positions_mm)])
+    return np.concatenate([block(part) for part in _blocks(x)])
 
 
 def spread(
@@ -188,7 +191,7 @@ def finite(network: StackedMLP) -> StackedMLP:
 
 
 def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:
-    """Each seed's worst point of each tile of the workspace, where usable [mm], shape (n, 3)."""
+    """Each seed's worst point of each tile of the workspace, where usable, shape (n, d)."""
     from iksamples.certify.search import certify_stack
 
     some = network.select(np.arange(min(network.n_seeds, _SEARCHED)))
@@ -207,11 +210,13 @@ def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:
             rtol=_RTOL,
             max_boxes=_MAX_BOXES,
             time_limit_s=np.inf,
+            target=task.target,
         )
         found += [certificate.argmax for certificate in certificates]
     points = np.unique(np.array(found), axis=0)
+    points = points[task.region.contains(points)]
     return points[task.reach(points).usable]
 
 
-def _blocks(positions_mm: Floats) -> list[NDArray[np.float64]]:
-    return np.split(positions_mm, range(_BLOCK, len(positions_mm), _BLOCK))
+def _blocks(x: Floats) -> list[NDArray[np.float64]]:
+    return np.split(x, range(_BLOCK, len(x), _BLOCK))
