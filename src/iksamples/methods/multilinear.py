@@ -11,7 +11,7 @@ def fit(samples: SampleSet) -> Predictor:
     What a controller without a library would do. A joint value is off by at most h^2 / 8 times the
     sum over the axes of its largest second derivative (de Boor, *A Practical Guide to Splines*,
     ch. III and XVII), so halving the spacing h quarters the error. Outside the grid the outermost
-    cells go on. ``bounds.table`` certifies its worst case.
+    cells go on. ``certify.table`` certifies it.
 
     Raises:
         NotApplicableError: The samples are no full grid.
