@@ -24,7 +24,7 @@ from iksamples.paper.readings import (
     rank,
 )
 from iksamples.paper.table import kept_reading, paper_table, reading_table
-from iksamples.study import Readings, read_study
+from iksamples.study import Readings, parse_study, read_study
 
 
 ROOT = Path(__file__).parents[1]
@@ -181,6 +181,41 @@ def test_the_shipped_reading_is_near_the_papers_table() -> None:
     assert compare(rows)["within_twice"] == len(paper_table())
 
 
+def test_what_the_readings_would_ignore_is_refused() -> None:
+    settings = {"name": "few", "title": "Few", "readings": {"count": 3}}
+    study = parse_study(settings)
+    # As the jobs read it, with every setting said.
+    assert parse_study(study.model_dump(mode="json")) == study
+    for ignored in (
+        {"training": {"seeds": 3}},
+        {"robot": {"urdf": "other.urdf"}},
+        {"methods": {"spline": {"kind": "cubic"}}},
+    ):
+        with pytest.raises(
+            IksamplesError, match=f"'readings' .* leave out '{next(iter(ignored))}'"
+        ):
+            parse_study(settings | ignored)
+
+
+def test_check_and_plan_describe_the_readings(tmp_path: Path, command: str) -> None:
+    """Their networks are those that the two trainings leave, counted by hand."""
+    study = tmp_path / "few.yaml"
+    study.write_text(
+        "name: few\nreadings: {count: 3, seeds: 2, best: 1, fresh_seeds: 5, jobs: 2}\n"
+    )
+
+    def said(question: str) -> str:
+        call = [command, question, str(study)]
+        return subprocess.run(call, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+
+    # Three readings on the seven grids of Table 1; no more than all three are trained again.
+    assert "few: valid" in said("check")
+    for text in (said("check"), said("plan")):
+        assert f"{3 * 7 * 2} networks" in text
+        assert f"at most {3 * 7 * 5} networks" in text
+        assert "methods" not in text
+
+
 @pytest.mark.slow
 def test_a_search_from_its_study_to_its_page(tmp_path: Path, command: str) -> None:
     """The steps by hand, on a search of three readings."""
@@ -223,7 +258,11 @@ def test_a_search_from_its_study_to_its_page(tmp_path: Path, command: str) -> No
     [
         ("paper: true", {"bounds", "table", "report"}, {"search"}),
         ("paper: false", {"report", "track"}, {"bounds", "table", "search"}),
-        ("readings: {count: 9, jobs: 3}", {"search", "confirm", "rank", "page"}, {"train"}),
+        (
+            "readings: {count: 9, jobs: 3}\ntitle: '{x} {wildcards.study} {input}'",
+            {"search", "confirm", "rank", "page"},
+            {"train"},
+        ),
     ],
 )
 def test_what_is_the_papers_runs_for_its_studies_alone(

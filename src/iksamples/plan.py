@@ -134,12 +134,60 @@ def plan_text(study: Study, plan: Plan, cores: int) -> str:
         f"{several(len(sets), 'set')} of {of_sizes} samples, {jobs} jobs"
     )
     tail = (
-        f"Expected: about {in_words(plan.seconds(cores))} with {several(cores, 'core')}, "
-        f"{plan.memory_mb / 1000:.1f} GB of memory for the largest job.\n"
+        f"{_expected(plan.seconds(cores), cores)}, {plan.memory_mb / 1000:.1f} GB of memory for "
+        "the largest job.\n"
         "As on the machine of docs/benchmarks.md, with no results there yet but trained networks;\n"
-        "another machine may take half or twice as long."
+        f"{_ELSEWHERE}"
     )
     return "\n".join([head, "", *rows, "", tail])
+
+
+def readings_text(study: Study, n_joints: int, cores: int | None = None) -> str:
+    """What a study of readings trains, as people read it.
+
+    Args:
+        study: A study with ``readings``.
+        n_joints: Joints of its arm.
+        cores: Cores it will have; None: no time is asked for.
+    """
+    from iksamples.paper.readings import draw_readings, most_chosen
+
+    wanted = study.readings
+    assert wanted is not None
+    drawn = draw_readings(wanted)
+    n_grids, n_again = len(study.sizes), most_chosen(wanted)
+    networks = n_grids * wanted.seeds * len(drawn), n_grids * wanted.fresh_seeds * n_again
+    lines = [
+        f"  search: {several(len(drawn), 'reading')} on {several(n_grids, 'grid')}, "
+        f"{networks[0]} networks",
+        f"  the best of them again: at most {several(n_again, 'reading')}, "
+        f"at most {networks[1]} networks",
+    ]
+    if cores is None:
+        return "\n".join(lines)
+
+    def each(seeds: int) -> float:
+        """Expected time of training a reading, the mean of those drawn [s]."""
+        studies = [reading.study(seeds) for reading in drawn]
+        times = [
+            _fit_seconds(one, n_joints, one.training.n_trained(n)) + _FIT
+            for one in studies
+            for n in one.sizes
+        ]
+        return sum(times) / len(drawn)
+
+    seconds = len(drawn) * each(wanted.seeds) + n_again * each(wanted.fresh_seeds)
+    seconds += 2 * wanted.jobs * _START["train"] + _START["report"]
+    seconds = _SNAKEMAKE + seconds / cores
+    tail = (
+        f"{_expected(seconds, cores)}, if no training stops early.\n"
+        f"As on the machine of docs/benchmarks.md; {_ELSEWHERE}"
+    )
+    return "\n".join([*lines, "", tail])
+
+
+def _expected(seconds: float, cores: int) -> str:
+    return f"Expected: about {in_words(seconds)} with {several(cores, 'core')}"
 
 
 def in_words(seconds: float) -> str:
@@ -165,6 +213,7 @@ _START = {
     "record": 1.0,
     "report": 5.0,
 }
+_ELSEWHERE = "another machine may take half or twice as long."
 _SNAKEMAKE, _SCHEDULING = 4.0, 0.4
 """Of Snakemake itself: to begin with, and per job."""
 _FIT = 0.03

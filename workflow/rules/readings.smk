@@ -9,15 +9,8 @@ OUTPUTS
 """
 
 
-def reading_settings(*names):
-    """Those settings of the section."""
-    return STUDY.readings.model_dump_json(include=set(names))
-
-
 rule search:
     """Train one part of the readings."""
-    input:
-        urdf=STUDY.robot.urdf,
     output:
         "results/{study}/search/{part}.csv",
     log:
@@ -26,7 +19,8 @@ rule search:
         "results/{study}/benchmarks/search/{part}.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=reading_settings("count", "seed", "seeds", "jobs"),
+        arm=ARM,
+        settings=settings(readings={"count", "seed", "seeds", "jobs"}),
         code=source_digest("iksamples.paper.readings"),
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples readings search {params.study:q} --part {wildcards.part} --output {output:q}'
@@ -36,7 +30,6 @@ rule search:
 rule confirm:
     """Train one part of the best readings again, with fresh seeds."""
     input:
-        urdf=STUDY.robot.urdf,
         searched=expand(
             "results/{{study}}/search/{part}.csv", part=range(STUDY.readings.jobs)
         ),
@@ -48,7 +41,8 @@ rule confirm:
         "results/{study}/benchmarks/confirm/{part}.jsonl"
     params:
         study="results/{study}/study.json",
-        settings=reading_settings("best", "fresh_seeds", "jobs"),
+        arm=ARM,
+        settings=settings(readings={"best", "fresh_seeds", "jobs"}),
         code=source_digest("iksamples.paper.readings"),
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples readings confirm {params.study:q} {input.searched:q} --part {wildcards.part}'
@@ -84,9 +78,9 @@ rule page:
         "results/{study}/logs/page.log",
     params:
         study="results/{study}/study.json",
-        title=STUDY.title,
+        settings=settings("title", "readings"),
         code=source_digest("iksamples.report.readings"),
-        results="results/{study}",
+        results=results_folder,
         folder=subpath(output.html, parent=True),
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples readings report {params.study:q} --results {params.results:q}'

@@ -27,13 +27,18 @@ class Strategy(StrEnum):
 @app.command()
 def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
+    from iksamples.plan import readings_text
     from iksamples.region import Region
     from iksamples.results import networks, sample_sets
     from iksamples.samples.record import record_samples, region_points
 
     study, task = open_study(study_file)
+    valid = f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}"
+    if study.readings:
+        typer.echo(f"{valid}\n{readings_text(study, len(task.q))}")
+        return
     require_feasible(study, task)
-    typer.echo(f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}")
+    typer.echo(valid)
     sets, all_recorded = sample_sets(study), []
     for label, (design, n) in sets.items():
         if design == "adaptive":
@@ -69,12 +74,15 @@ def plan(
     ] = None,
 ) -> None:
     """Say what a study would take: networks to train, time, memory. Nothing is run."""
-    from iksamples.plan import plan_study, plan_text
+    from iksamples.plan import plan_study, plan_text, readings_text
     from iksamples.results import sample_sets
     from iksamples.samples.record import record_samples
     from iksamples.training.step import trained_before
 
     study, task = open_study(study_file)
+    if study.readings:
+        typer.echo(f"{study.name}\n{readings_text(study, len(task.q), cores)}")
+        return
     require_feasible(study, task)
     sets = [
         record_samples(study, task, design, n)

@@ -138,6 +138,12 @@ def draw_readings(wanted: Readings) -> list[Reading]:
     return list(found)
 
 
+def most_chosen(wanted: Readings) -> int:
+    """How many readings ``choose`` may choose, at most: one for each of its reasons."""
+    kept = len(DENIABLE) * (len(DENIABLE) + 1) // 2
+    return min(wanted.count, wanted.best + _MOST_CONTRADICTIONS + 1 + kept + 1)
+
+
 def search_part(wanted: Readings, part: int) -> "pd.DataFrame":
     """Trains one of ``wanted.jobs`` parts of the search; see ``train_readings``."""
     return train_readings(draw_readings(wanted)[part :: wanted.jobs], wanted.seeds)

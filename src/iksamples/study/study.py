@@ -103,6 +103,19 @@ class Study(Section):
         return self
 
     @model_validator(mode="after")
+    def _readings_are_all_there_is(self) -> "Study":
+        """Every other setting is part of a reading, or of no use to one."""
+        own = {"name", "title", "readings"}
+        plain = {name: field.default for name, field in type(self).model_fields.items()}
+        ignored = [name for name in plain if name not in own and getattr(self, name) != plain[name]]
+        if self.readings and ignored:
+            raise ValueError(
+                "a study with 'readings' sets nothing else, since each reading is a study of its "
+                f"own; leave out {', '.join(map(repr, ignored))}"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _a_limit_for_each_input(self) -> "Study":
         n = self.task.n_positions
         names = {"mm": self.task.inputs[:n], "rad": self.task.inputs[n:]}
