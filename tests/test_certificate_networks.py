@@ -15,7 +15,7 @@ from certificate_cases import (
 )
 
 from iksamples.certify.residual import ErrorOverBoxes
-from iksamples.certify.search import Leaves, _climb, certify_stack
+from iksamples.certify.search import _climb, certify_stack
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 
@@ -84,15 +84,6 @@ def test_no_time_is_still_a_bound(chain, rng):
         errors = np.linalg.norm(plain_tip(chain, plain_answer(stack, row, points)) - points, axis=1)
         assert errors.max() <= cut.upper < np.inf
         assert not cut.complete
-
-
-def test_starts_that_do_not_tile_are_refused(chain, rng):
-    stack = random_network(rng, (3, 4, 3), "relu", lower=LOWER, upper=UPPER)
-    half = Leaves(np.zeros(1, int), np.zeros((1, 3)), np.array([[1.0, 1.0, 0.5]]), np.zeros(1))
-    flat = Leaves(np.zeros(1, int), np.zeros((1, 2)), np.ones((1, 2)), np.zeros(1))
-    for start in (half, flat):
-        with pytest.raises(IksamplesError, match="tile"):
-            certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), start=start)
 
 
 def test_networks_and_arms_that_do_not_fit(chain, rng):

@@ -191,15 +191,6 @@ def test_an_unfinished_search_says_so_and_still_bounds(chain, rng):
     assert cut.upper > full.upper
 
 
-def test_a_warm_start_gives_the_same_bounds(chain, rng):
-    stack = networks(rng, "tanh", (16,), n=1)
-    cold = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), keep_leaves=True)
-    warm = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), start=cold.leaves)
-    assert warm.complete
-    assert warm.lower <= cold.upper
-    assert cold.lower <= warm.upper
-
-
 @pytest.mark.parametrize(
     ("lower", "upper", "message"),
     [

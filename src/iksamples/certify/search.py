@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,8 +13,6 @@ from iksamples.certify.compared import Measure
 from iksamples.certify.enclosure import corners
 from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.certify.table import Table
-from iksamples.certify.tiling import tiles
-from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -34,31 +31,6 @@ _FINE = 1e-6
 _NO_BOUND = float(np.finfo(float).max)
 _SMALLEST = 2.0**-48
 """Edges, as a share of the region's, are not halved below this; they stay exact in float64."""
-
-
-class Objective(Protocol):
-    """Something to maximise, for several networks at once."""
-
-    region: Region
-
-    @property
-    def n_networks(self) -> int:
-        """Number of networks."""
-
-    @property
-    def slack(self) -> Floats:
-        """How far rounding may put a value off, by network, shape (networks,)."""
-
-    def values(self, which: Ints, points: Floats) -> Floats:
-        """At least the values at points, shape (points,)."""
-
-    def upper_bounds(
-        self, which: Ints, centre: Floats, radius: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Upper bounds over boxes, promising points of each, and the weight of each axis.
-
-        Shapes (boxes,), (boxes, points, d), (boxes, d).
-        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +85,15 @@ def certify_stack(
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
     keep_leaves: bool = False,
-    start: Leaves | None = None,
     target: Target | None = None,
     measure: Measure = "position",
 ) -> list[Certificate]:
     """The largest error of each network of a stack, or of a look-up table, over a region.
 
-    Enclosed by branch and bound, all networks together. One certificate per network, in order.
+    Enclosed by branch and bound, all networks together: a box whose upper bound is within the
+    tolerance of the best value found anywhere is a leaf, any other is halved along the axis that
+    weighs most. The supremum is at most the largest bound of any leaf and of any box still waiting
+    when the search is cut short. One certificate per network, in order.
 
     Args:
         network: Stacked networks, or a look-up table.
@@ -130,7 +104,6 @@ def certify_stack(
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
         keep_leaves: Whether to keep the boxes of the proof.
-        start: Boxes to start from, such as the leaves for similar networks.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
         measure: ``"position"`` [mm] or ``"angle"`` [rad].
 
@@ -138,53 +111,11 @@ def certify_stack(
         IksamplesError: A network has a number that is not finite or an unknown activation, or
             things do not fit together.
     """
-    objective = ErrorOverBoxes(network, chain, region, target, measure)
-    first = None
-    if start is not None:
-        if not tiles(start.part, start.lower, start.upper, objective.region.lower.shape):
-            raise IksamplesError("the boxes to start from do not tile the region.")
-        first = start.part, start.lower, start.upper - start.lower
-    return maximise(
-        objective,
-        rtol=rtol,
-        seeds=seeds,
-        max_boxes=max_boxes,
-        time_limit_s=time_limit_s,
-        keep_leaves=keep_leaves,
-        first=first,
-    )
-
-
-def maximise(
-    objective: Objective,
-    *,
-    rtol: float,
-    seeds: ArrayLike | None = None,
-    max_boxes: int = 1_000_000,
-    time_limit_s: float = 60.0,
-    keep_leaves: bool = False,
-    first: tuple[Ints, Floats, Floats] | None = None,
-) -> list[Certificate]:
-    """Encloses the supremum over the objective's region for each network.
-
-    A box whose upper bound is within the tolerance of the best value found anywhere is a leaf; any
-    other is halved along the axis that weighs most. The supremum is at most the largest bound of
-    any leaf and of any box still waiting when the search is cut short.
-
-    Args:
-        objective: What to maximise.
-        rtol: Relative tolerance.
-        seeds: Points of the region worth trying, shape (n, d).
-        max_boxes: Boxes to bound per network, at most.
-        time_limit_s: Time to spend per network, at most [s].
-        keep_leaves: Whether to keep the leaves.
-        first: Boxes to start from, which must tile the region: the region's box that each is in,
-            lower corners and edges as shares of that box's.
-    """
     began = time.perf_counter()
+    objective = ErrorOverBoxes(network, chain, region, target, measure)
     n, region, slack = objective.n_networks, objective.region, objective.slack
     best, argmax = _first_values(objective, seeds)
-    part, low, edge = first or _first_boxes(region)
+    part, low, edge = _first_boxes(region)
     which = np.repeat(np.arange(n), len(low))
     part, low, edge = np.tile(part, n), np.tile(low, (n, 1)), np.tile(edge, (n, 1))
     hopes = np.full(len(low), np.inf)  # what is known about a waiting box: its parent's bound
@@ -247,7 +178,7 @@ def maximise(
     ]
 
 
-def _first_values(objective: Objective, seeds: ArrayLike | None) -> tuple[Floats, Floats]:
+def _first_values(objective: ErrorOverBoxes, seeds: ArrayLike | None) -> tuple[Floats, Floats]:
     """The best values at the corners and the seeds, and where."""
     n, region = objective.n_networks, objective.region
     d = region.n_inputs
@@ -279,7 +210,7 @@ def _first_boxes(region: Region) -> tuple[Ints, Floats, Floats]:
 
 
 def _try(
-    objective: Objective,
+    objective: ErrorOverBoxes,
     best: Floats,
     argmax: Floats,
     which: Ints,
@@ -323,7 +254,9 @@ def _try(
     best[owner[order]], argmax[owner[order]] = values[order], points[order]
 
 
-def _climb(objective: Objective, which: Ints, part: Ints, points: Floats, values: Floats) -> None:
+def _climb(
+    objective: ErrorOverBoxes, which: Ints, part: Ints, points: Floats, values: Floats
+) -> None:
     """Moves points of boxes of the region uphill along the axes, in place."""
     lower, upper = objective.region.lower[part, None], objective.region.upper[part, None]
     n, d = points.shape
