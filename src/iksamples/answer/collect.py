@@ -75,8 +75,8 @@ def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     return rows[list(RUNS)]
 
 
-def certificates(study: Study, results: str | Path, method: str | None = None) -> "pd.DataFrame":
-    """The certificates of one method or of all that can have some, a row per network.
+def certificates(study: Study, results: str | Path) -> "pd.DataFrame":
+    """The certificates of all methods that can have some, a row per network.
 
     Raises:
         IksamplesError: A file is missing, or has a network twice.

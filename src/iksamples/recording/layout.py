@@ -28,21 +28,17 @@ _TURN_RAD, _RISE_RAD = -1.1, 0.4
 
 
 def layout(
-    study: Study,
     path_name: str,
     task: Task,
     shown: Sequence[ShownGrid],
-    timeline: str = WAYPOINT,
-    proof: Proof | None = None,
+    proof: Proof | None,
 ) -> rrb.Blueprint:
     """The layout a recording opens with, playing.
 
     Args:
-        study: The study.
         path_name: The path that is shown.
         task: The study's task.
         shown: The grids, by size; the arm follows the last.
-        timeline: The timeline that plays.
         proof: What is proved of the network that moves the arm, if anything.
     """
     arm = shown[-1]
@@ -111,7 +107,7 @@ def layout(
             column_shares=[5, 3],
         ),
         rrb.TimePanel(
-            state="collapsed", timeline=timeline, fps=30, play_state="playing", loop_mode="all"
+            state="collapsed", timeline=WAYPOINT, fps=30, play_state="playing", loop_mode="all"
         ),
         collapse_panels=True,
     )
@@ -127,7 +123,6 @@ def about(
     """The text panel (Markdown).
 
     Args:
-        study: The study.
         path_name: The path that is shown.
         shown: The grids, by size; the arm follows the last.
         left_out: Grids that cannot be drawn since their median seed diverged.

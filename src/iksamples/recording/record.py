@@ -77,7 +77,7 @@ def _write(
     )
     # Two recordings of the same results are to hold the same, whatever the clock says.
     rr.set_log_time_enabled(False, recording=recording)
-    blueprint = layout(study, path_name, task, shown, proof=proof)
+    blueprint = layout(path_name, task, shown, proof)
     recording.save(file, default_blueprint=blueprint)
     recording.send_recording_name(f"{study.name}: {path_name}")
     text = about(study, path_name, shown, left_out, proof)

@@ -47,7 +47,7 @@ def curves(data: ReportData) -> dict[str, Any]:
             "mean position error [mm]",
             panel="region",
         ),
-        "regions": _regions(data, regions),
+        "regions": _regions(regions),
         "on_path": _mean_and_sd(data),
         "training": _training_drawing(history),
         "steps": data.table("members").groupby("n_samples")["steps"].median(),
@@ -154,7 +154,7 @@ def _baseline(data: ReportData) -> list[tuple[str, int, int]]:
     ]
 
 
-def _regions(data: ReportData, rows: pd.DataFrame) -> pd.DataFrame:
+def _regions(rows: pd.DataFrame) -> pd.DataFrame:
     """Errors of the study's network in every region, over its seeds."""
     by = rows.groupby(["region", "n_samples"], sort=False)
     table = pd.DataFrame(

@@ -15,7 +15,6 @@ def train_study(
     output: Path,
     cache: Path | None = None,
     progress: bool = False,
-    methods: Sequence[str] | None = None,
 ) -> None:
     """Trains every network of a study on every set of samples.
 
@@ -25,9 +24,8 @@ def train_study(
         output: Gets a folder ``<method>/<samples>`` for each.
         cache: Folder of trained seeds, one inside it for each of these; None: keep none.
         progress: Report on stderr.
-        methods: Only these; None: all networks.
     """
-    for method, samples, own in _trainings(study, sample_sets, methods or networks(study)):
+    for method, samples, own in _trainings(study, sample_sets):
         place = Path(method) / samples.label
         train(own, [samples], [output / place], cache / place if cache else None, progress)
 
@@ -41,16 +39,16 @@ def trained_before(study: Study, sample_sets: Sequence[SampleSet], cache: Path) 
         cache: The cache that ``train_study`` is given.
     """
     found = dict.fromkeys(networks(study), 0)
-    for method, samples, own in _trainings(study, sample_sets, networks(study)):
+    for method, samples, own in _trainings(study, sample_sets):
         found[method] += count_trained(own, samples, cache / method / samples.label)
     return found
 
 
 def _trainings(
-    study: Study, sample_sets: Sequence[SampleSet], methods: Sequence[str]
+    study: Study, sample_sets: Sequence[SampleSet]
 ) -> Iterator[tuple[str, SampleSet, Study]]:
     """Every method with every set of samples, and the study as if it had that method alone."""
-    for method in methods:
+    for method in networks(study):
         training = study.all_methods[method].training
         for samples in sample_sets:
             n_trained = training.n_trained(samples.n_samples)
