@@ -67,7 +67,7 @@ def results(tmp_path, rng):
                     "method": method, "design": "grid", "label": cell.label, "n_samples": m**3,
                     "n_trained": m**3, "seed": seed, "diverged": False, "region": "workspace",
                     "error_mean_mm": error / 2, "error_p95_mm": error, "error_p99_mm": error,
-                    "error_max_mm": error, "verified": False,
+                    "error_max_mm": error, "verified": False, "region_share": 1.0,
                 }  # fmt: skip
                 rows.append(row)
     pd.DataFrame(rows).to_parquet(folder / RUNS_FILE)
