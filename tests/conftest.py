@@ -22,6 +22,34 @@ settings.load_profile("iksamples")
 ROOT = Path(__file__).parents[1]
 
 
+# All kinds of joints, turned in every direction.
+WRIST = """<?xml version="1.0"?>
+<robot name="wrist">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
+  <joint name="j1" type="revolute"><parent link="a"/><child link="b"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.7 1.1"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="j2" type="prismatic"><parent link="b"/><child link="c"/>
+    <origin xyz="0 0.05 0.2" rpy="1.2 0 -0.4"/><axis xyz="1 0 0"/>
+    <limit lower="-0.1" upper="0.3" effort="1" velocity="1"/></joint>
+  <joint name="held" type="fixed"><parent link="c"/><child link="d"/>
+    <origin xyz="0.02 0 0.1" rpy="0 0.5 0"/></joint>
+  <joint name="j3" type="continuous"><parent link="d"/><child link="e"/>
+    <origin xyz="0 0 0.15"/><axis xyz="0 0.6 0.8"/></joint>
+  <joint name="tool" type="fixed"><parent link="e"/><child link="f"/>
+    <origin xyz="0.07 0.01 0.09" rpy="0 0 1"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def wrist_file(tmp_path: Path) -> Path:
+    """An arm with a revolute, a prismatic, a fixed and a continuous joint, as a URDF."""
+    file = tmp_path / "wrist.urdf"
+    file.write_text(WRIST)
+    return file
+
+
 @pytest.fixture(autouse=True)
 def _in_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
     """Study files name their robot relative to the project's root."""

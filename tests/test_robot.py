@@ -15,24 +15,6 @@ from iksamples.task import study_task
 
 ARM = "config/robots/rrr70.urdf"
 
-WRIST = """<?xml version="1.0"?>
-<robot name="wrist">
-  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
-  <joint name="j1" type="revolute"><parent link="a"/><child link="b"/>
-    <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.7 1.1"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-  <joint name="j2" type="prismatic"><parent link="b"/><child link="c"/>
-    <origin xyz="0 0.05 0.2" rpy="1.2 0 -0.4"/><axis xyz="1 0 0"/>
-    <limit lower="-0.1" upper="0.3" effort="1" velocity="1"/></joint>
-  <joint name="held" type="fixed"><parent link="c"/><child link="d"/>
-    <origin xyz="0.02 0 0.1" rpy="0 0.5 0"/></joint>
-  <joint name="j3" type="continuous"><parent link="d"/><child link="e"/>
-    <origin xyz="0 0 0.15"/><axis xyz="0 0.6 0.8"/></joint>
-  <joint name="tool" type="fixed"><parent link="e"/><child link="f"/>
-    <origin xyz="0.07 0.01 0.09" rpy="0 0 1"/></joint>
-</robot>
-"""
-
 
 def drawn_by_hand(q1, q2, q3):
     """The formula in the head of the URDF, written out."""
@@ -54,9 +36,8 @@ def test_drawing_pose_puts_the_pen_on_the_table(chain):
     )
 
 
-def test_units_and_the_tool_offset(tmp_path, rng):
-    (tmp_path / "wrist.urdf").write_text(WRIST)
-    wrist = load_arm(tmp_path / "wrist.urdf")
+def test_units_and_the_tool_offset(wrist_file, rng):
+    wrist = load_arm(wrist_file)
     assert wrist.joint_units == ("rad", "mm", "rad")
     q = rng.uniform(-1, 1, (20, 3))
     position, rotation = wrist.pose(q)
@@ -65,9 +46,8 @@ def test_units_and_the_tool_offset(tmp_path, rng):
     np.testing.assert_allclose(tool.rotation(q), rotation, atol=1e-15)
 
 
-def test_jacobian_is_the_derivative(tmp_path, rng):
-    (tmp_path / "wrist.urdf").write_text(WRIST)
-    wrist = load_arm(tmp_path / "wrist.urdf")
+def test_jacobian_is_the_derivative(wrist_file, rng):
+    wrist = load_arm(wrist_file)
     q = rng.uniform(-1, 1, (20, 3))
     step = 1e-6
     for i, unit in enumerate(np.eye(3)):
@@ -108,10 +88,9 @@ def test_both_branches_reach_what_is_in_reach_and_say_what_is_not(x, y, z):
             assert np.isnan(joints).all()
 
 
-def test_inverse_refuses_an_arm_it_does_not_fit(tmp_path):
-    (tmp_path / "wrist.urdf").write_text(WRIST)
+def test_inverse_refuses_an_arm_it_does_not_fit(wrist_file):
     with pytest.raises(IksamplesError, match="yaw-pitch-pitch"):
-        yaw_pitch_pitch(load_arm(tmp_path / "wrist.urdf"), [[1, 2, 3]], "negative")
+        yaw_pitch_pitch(load_arm(wrist_file), [[1, 2, 3]], "negative")
 
 
 def test_the_stated_corner_is_beyond_any_70_70_arm(study, task, chain):

@@ -13,25 +13,6 @@ from iksamples.arm.load import load_arm
 
 ROBOTS = sorted(path.stem for path in Path("config/robots").glob("*.urdf"))
 
-# All kinds of joints, turned in every direction.
-WRIST = """<?xml version="1.0"?>
-<robot name="wrist">
-  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
-  <joint name="j1" type="revolute"><parent link="a"/><child link="b"/>
-    <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.7 1.1"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-  <joint name="j2" type="prismatic"><parent link="b"/><child link="c"/>
-    <origin xyz="0 0.05 0.2" rpy="1.2 0 -0.4"/><axis xyz="1 0 0"/>
-    <limit lower="-0.1" upper="0.3" effort="1" velocity="1"/></joint>
-  <joint name="held" type="fixed"><parent link="c"/><child link="d"/>
-    <origin xyz="0.02 0 0.1" rpy="0 0.5 0"/></joint>
-  <joint name="j3" type="continuous"><parent link="d"/><child link="e"/>
-    <origin xyz="0 0 0.15"/><axis xyz="0 0.6 0.8"/></joint>
-  <joint name="tool" type="fixed"><parent link="e"/><child link="f"/>
-    <origin xyz="0.07 0.01 0.09" rpy="0 0 1"/></joint>
-</robot>
-"""
-
 
 def in_double(library, monkeypatch):
     """pytorch_kinematics keeps a URDF's origins and axes in float32; this keeps them in float64."""
@@ -85,9 +66,8 @@ def test_robot_agrees_with_pytorch_kinematics_at_10000_configurations(robot, rng
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_every_kind_of_joint_agrees_with_pytorch_kinematics(tmp_path, rng, monkeypatch):
-    (tmp_path / "wrist.urdf").write_text(WRIST)
-    check_against_library(tmp_path / "wrist.urdf", 50, rng, monkeypatch)
+def test_every_kind_of_joint_agrees_with_pytorch_kinematics(wrist_file, rng, monkeypatch):
+    check_against_library(wrist_file, 50, rng, monkeypatch)
 
 
 # As their makers publish them: Universal Robots (standard), Franka (modified), and for the iiwa the
