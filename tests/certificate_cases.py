@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import COORDINATES
 from iksamples.certify.checker import Claim, Verification, verify
 from iksamples.certify.search import Certificate, certify_stack
 from iksamples.network import StackedMLP
@@ -110,6 +112,30 @@ def plain_tip(chain, joints):
             frame = frame @ step
         tips.append(frame[:3, :3] @ chain.tip_mm + frame[:3, 3])
     return np.array(tips)
+
+
+def plain_rotation(chain, joints):
+    """Rotations of the tool, a product of SciPy's rotations about the joints' axes."""
+    total = Rotation.identity(len(joints))
+    for kind, axis, value in zip(chain.joint_kinds, chain.axes, joints.T, strict=True):
+        if kind == "revolute":
+            total = total * Rotation.from_rotvec(value[:, None] * axis)
+    return total * Rotation.from_matrix(chain.tip_rotation)
+
+
+def turned_away(chain, target, joints, points):
+    """Angles [rad] between what joint values reach and what inputs ask for."""
+    angles = np.zeros((len(points), 3))
+    for k, name in enumerate(target.coordinates):
+        if name in COORDINATES[3:]:
+            angles[:, COORDINATES.index(name) - 3] = points[:, k]
+    a = plain_rotation(chain, joints)
+    b = Rotation.from_euler("xyz", angles) * Rotation.from_matrix(target.reference_rotation)
+    if target.orientation == "fixed":
+        return (a.inv() * b).magnitude()
+    first, second = a.apply([0, 0, 1]), b.apply([0, 0, 1])
+    cross = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.arctan2(cross, np.sum(first * second, axis=1))
 
 
 def plain_answer(network, row, points):

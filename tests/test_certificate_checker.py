@@ -28,7 +28,7 @@ from iksamples.certify.balls import Ball, norm_above, sum_above
 from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
 from iksamples.certify.jets import Linkage
-from iksamples.certify.rounding import inference_slack_mm
+from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import Leaves
 from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
@@ -473,7 +473,7 @@ def test_single_precision_stays_within_its_slack(rng, activation):
         plain_tip(chain, single) - plain_tip(chain, plain_answer(stack, 0, points)),
         axis=1,
     )
-    [slack] = inference_slack_mm(stack, chain, Region.box(LOWER, UPPER))
+    [slack] = inference_slack(stack, chain, Region.box(LOWER, UPPER))
     assert 0 < apart.max() <= slack < 500 * apart.max()
 
 
@@ -516,7 +516,7 @@ def test_single_precision_is_bounded_for_any_network(seed, kinds, activation, de
     points = points_in(rng, lower, upper, 5000)
     single, exact = in_single_precision(stack, points), plain_answer(stack, 0, points)
     apart = np.linalg.norm(plain_tip(chain, single) - plain_tip(chain, exact), axis=1).max()
-    [slack] = inference_slack_mm(stack, chain, Region.box(lower, upper))
+    [slack] = inference_slack(stack, chain, Region.box(lower, upper))
     assert apart <= slack
 
 
@@ -533,7 +533,7 @@ def test_single_precision_on_a_crane():
         stack = random_network(rng, (3, 16, 3), activation, lower=lower, upper=upper)
         single, exact = in_single_precision(stack, points), plain_answer(stack, 0, points)
         apart = np.linalg.norm(plain_tip(chain, single) - plain_tip(chain, exact), axis=1).max()
-        [slack] = inference_slack_mm(stack, chain, Region.box(lower, upper))
+        [slack] = inference_slack(stack, chain, Region.box(lower, upper))
         assert apart <= slack < 0.2
 
 
@@ -550,7 +550,7 @@ def test_single_precision_adds_up_over_many_layers(rng):
         hidden = hidden @ weight[0]
     assert hidden.dtype == np.float32
     apart = np.abs(hidden - plain_answer(stack, 0, points)).max()
-    [slack] = inference_slack_mm(stack, slide, Region.box([1.0], [2.0]), ONE)
+    [slack] = inference_slack(stack, slide, Region.box([1.0], [2.0]), ONE)
     assert slack / 200 < apart <= slack
 
 

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain
-from iksamples.certify.rounding import inference_slack_mm
+from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import certify_stack
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -216,4 +216,4 @@ def test_an_answer_that_overflows_is_no_bound_where_a_joint_slides():
     assert found.upper == np.inf
     assert not found.complete
     assert not check(found, stack, 0, slide, square).verified
-    assert inference_slack_mm(stack, slide, square) == np.inf
+    assert inference_slack(stack, slide, square) == np.inf

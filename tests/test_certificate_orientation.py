@@ -9,9 +9,11 @@ from certificate_cases import (
     check,
     make_chain,
     plain_answer,
+    plain_rotation,
     points_in,
     random_chain,
     random_network,
+    turned_away,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,38 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
-from iksamples.certify.rounding import inference_slack_rad
+from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import certify_stack
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
-
-
-def reached(chain, joints):
-    """Rotations of the tool, a product of SciPy's rotations about the joints' axes."""
-    total = Rotation.identity(len(joints))
-    for kind, axis, value in zip(chain.joint_kinds, chain.axes, joints.T, strict=True):
-        if kind == "revolute":
-            total = total * Rotation.from_rotvec(value[:, None] * axis)
-    return total * Rotation.from_matrix(chain.tip_rotation)
-
-
-def wanted(target, points):
-    angles = np.zeros((len(points), 3))
-    for k, name in enumerate(target.coordinates):
-        if name in COORDINATES[3:]:
-            angles[:, COORDINATES.index(name) - 3] = points[:, k]
-    return Rotation.from_euler("xyz", angles) * Rotation.from_matrix(target.reference_rotation)
-
-
-def between(network, chain, target, points):
-    """Angles [rad] between what is reached and what is asked for."""
-    joints = plain_answer(network, 0, points)
-    a, b = reached(chain, joints), wanted(target, points)
-    if target.orientation == "fixed":
-        return (a.inv() * b).magnitude()
-    first, second = a.apply([0, 0, 1]), b.apply([0, 0, 1])
-    cross = np.linalg.norm(np.cross(first, second), axis=1)
-    return np.arctan2(cross, np.sum(first * second, axis=1))
 
 
 ASKED = [
@@ -87,9 +61,10 @@ def test_no_point_is_turned_further_than_its_bound(seed, kinds, asked, orientati
         target=target, measure="angle",
     )  # fmt: skip
     points = points_in(rng, lower, -lower, 3000)
-    apart = between(stack, chain, target, points)
+    apart = turned_away(chain, target, plain_answer(stack, 0, points), points)
     assert apart.max() <= found.upper
-    at = between(stack, chain, target, found.argmax[None])[0]
+    most = found.argmax[None]
+    [at] = turned_away(chain, target, plain_answer(stack, 0, most), most)
     assert found.lower <= at + 1e-7
     assert found.lower == pytest.approx(at, abs=1e-5)
     asked_of = {"target": target, "measure": "angle"}
@@ -186,16 +161,17 @@ def test_stacks_and_single_precision_of_angles(rng):
     region = Region.box(lower, upper)
     stack = random_network(rng, (6, 5, 6), "relu", n=2, spread=0.3, lower=lower, upper=upper)
     both = certify_stack(stack, chain, region, rtol=0.1, target=target, measure="angle")
-    slack = inference_slack_rad(stack, chain, region, target)
+    slack = inference_slack(stack, chain, region, target, "angle")
     points = points_in(rng, lower, upper, 4000)
     for row, found in enumerate(both):
         one = stack.select([row])
         exact = plain_answer(one, 0, points)
-        assert between(one, chain, target, points).max() <= found.upper
+        assert turned_away(chain, target, exact, points).max() <= found.upper
         hidden = (np.float32(points) - np.float32(one.offset_mm)) / np.float32(one.scale_mm)
         for depth in range(2):
             hidden = hidden @ one.weights[depth][0] + one.biases[depth][0]
             hidden = np.maximum(hidden, 0) if depth == 0 else hidden
         assert hidden.dtype == np.float32
-        moved = (reached(chain, exact).inv() * reached(chain, np.float64(hidden))).magnitude()
+        before, after = (plain_rotation(chain, np.float64(q)) for q in (exact, hidden))
+        moved = (before.inv() * after).magnitude()
         assert 0 < moved.max() <= slack[row] < 1e-4

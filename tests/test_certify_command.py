@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from certificate_cases import plain_tip
+from certificate_cases import plain_tip, points_in, turned_away
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from iksamples.arm.load import load_arm
+from iksamples.arm.target import Target
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
 
@@ -27,10 +29,12 @@ def certify(words, code=0):
     return result.output
 
 
-def bounds(text):
+def bounds(text, what="position", unit="mm"):
     """The upper bound, the error that is taken, and where."""
     upper, where, lower = re.search(
-        r"by more than ([0-9.]+) mm; at \((.*)\) mm it is missed by ([0-9.]+) mm \(checked", text
+        rf"no (?:{what}) is missed by more than ([0-9.]+) {unit}; "
+        rf"at \((.*)\) it is missed by ([0-9.]+) {unit} \(checked",
+        text,
     ).groups()
     return float(upper), float(lower), np.array([float(x) for x in where.split(",")])
 
@@ -98,24 +102,62 @@ def test_units_and_scalings_of_both_ends_say_the_same(tmp_path):
     assert np.linalg.norm(tip - at) == pytest.approx(turned[1], abs=1e-4)
 
 
+DOWN = (np.pi, 0.0, np.pi / 2)
+POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
 @pytest.mark.parametrize(
-    ("robot", "widths", "box"),
+    ("robot", "box", "inputs", "orientation", "rpy"),
     [
-        ("planar2r", (2, 6, 2), "20 20 80 80"),
-        ("ur5e", (3, 6, 6), "200 200 200 300 300 300"),
-        ("iiwa14", (4, 5, 7), "300 -100 300 -0.5 400 100 400 0.5"),
-        ("ur5e", (6, 5, 6), "300 -100 300 -0.1 -0.1 -0.1 400 0 400 0.1 0.1 0.1"),
+        ("planar2r.urdf", "20 20 80 80", ("x", "y"), None, None),
+        ("planar3r.urdf", "20 20 -0.4 80 80 0.4", ("x", "y", "yaw"), None, None),
+        ("ur5e.urdf", "300 -100 300 400 0 400", ("x", "y", "z"), None, None),
+        ("ur5e.urdf", "300 -100 300 400 0 400", ("x", "y", "z"), "axis", DOWN),
+        ("scara.urdf", "250 -50 20 -0.5 300 50 60 0.5", (*"xyz", "yaw"), "fixed", (np.pi, 0, 0)),
+        ("ur5e.urdf", "300 -50 300 -0.1 -0.1 -0.1 350 0 350 0.1 0.1 0.1", POSE, None, DOWN),
+        ("elbow.csv", "20 20 0 80 80 60", ("x", "y", "z"), "fixed", (0.1, -0.2, 0.3)),
     ],
 )
-def test_two_to_six_coordinates(tmp_path, robot, widths, box):
-    save(tmp_path / "net.pt", widths)
-    text = certify(
-        f"--weights {tmp_path / 'net.pt'} --activation tanh --robot {ROBOTS / robot}.urdf "
-        f"--box {box} --input-unit m --rtol 0.1"
-    )
-    upper, lower, at = bounds(text)
-    assert len(at) == widths[0]
-    assert lower <= upper <= 1.1001 * lower
+def test_positions_and_angles_of_any_task(tmp_path, robot, box, inputs, orientation, rpy):
+    """No point is off by more than is printed, and the points that are printed by as much."""
+    path = ROBOTS / robot
+    if robot == "elbow.csv":
+        path = tmp_path / robot
+        path.write_text(
+            "# convention: standard\ntheta_deg,d_mm,a_mm,alpha_deg\n"
+            "0,70,0,90\n10,0,60,0\n-20,0,60,0\n"
+        )
+    chain = load_arm(path)
+    model = save(tmp_path / "net.pt", (len(inputs), 6, chain.n_joints))
+    scale = np.where([name in "xyz" for name in inputs], 100.0, 1.0)
+    words = f"--weights {tmp_path / 'net.pt'} --activation tanh --robot {path} --box {box}"
+    words += f" --scale-mm {' '.join(map(str, scale))} --rtol 0.1"
+    words += "" if inputs in (("x", "y"), ("x", "y", "z")) else f" --inputs {','.join(inputs)}"
+    words += "" if orientation is None else f" --orientation {orientation}"
+    words += "" if rpy is None else f" --reference-rpy-rad {' '.join(map(repr, rpy))}"
+    text = certify(words)
+
+    reference = Rotation.from_euler("xyz", rpy or (0, 0, 0)).as_matrix()
+    turned = orientation or ("fixed" if set(inputs) & set(POSE[3:]) else "free")
+    target = Target(inputs, turned, reference)
+    found = [("mm", bounds(text))]
+    if turned == "free":
+        assert "deg" not in text
+    else:
+        found.append(("deg", bounds(text, "rotation|direction of the tool's z axis", "deg")))
+    for unit, (upper, lower, at) in found:
+        points = points_in(np.random.default_rng(3), *np.reshape(box.split(), (2, -1)), 3000)
+        points = np.concatenate([points, at[None]])
+        joints = model(torch.tensor(points / scale)).detach().numpy()
+        if unit == "mm":
+            rows = [k for k, name in enumerate("xyz") if name in inputs]
+            errors = plain_tip(chain, joints)[:, rows] - points[:, : len(rows)]
+            errors = np.linalg.norm(errors, axis=1)
+        else:
+            errors = np.degrees(turned_away(chain, target, joints, points))
+        assert errors.max() <= upper
+        assert errors[-1] >= lower - 1e-9
+        assert lower <= upper <= 1.1001 * lower + 1e-4
 
 
 def test_a_search_that_is_stopped_ends_with_a_checked_bound(net):
@@ -127,15 +169,25 @@ def test_a_search_that_is_stopped_ends_with_a_checked_bound(net):
         assert bounds(text)[0] >= whole[1]
 
 
-def test_what_is_not_proved_is_not_said(net, monkeypatch):
+@pytest.mark.parametrize("which", [("position",), ("angle",), ("position", "angle")])
+def test_what_is_not_proved_is_not_said(net, monkeypatch, which):
+    """Neither error stands for the other."""
     import iksamples.certify.checker as checker
 
-    monkeypatch.setattr(checker._Checks, "largest", lambda *_: np.inf)
+    proved = checker._Checks.largest
+
+    def largest(self, *given):
+        return np.inf if self.measure in which else proved(self, *given)
+
+    monkeypatch.setattr(checker._Checks, "largest", largest)
     text = certify(
-        f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX} {SCALED}", code=1
+        f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX} {SCALED} "
+        "--orientation fixed",
+        code=1,
     )
-    assert "NOT PROVED" in text
-    assert "no position" not in text
+    assert text.count("NOT PROVED") == len(which)
+    assert ("no position" in text) == ("position" not in which)
+    assert ("no rotation" in text) == ("angle" not in which)
     assert "Proved" not in text
 
 
@@ -165,6 +217,14 @@ def test_the_order_that_was_read_is_said(net):
         (f"{BOX} --output-scale 0,1,x", "--output-scale"),
         (f"{BOX} --tip-link nowhere", "nowhere"),
         (f"{BOX} --base-link nowhere", "nowhere"),
+        ("--box 20 20 0 0 80 80 60 1", "4 coordinates; name them: --inputs x,y,z,roll"),
+        (f"{BOX} --inputs x,y", "--inputs names 2 coordinates, and --box has 3"),
+        (f"{BOX} --inputs x,z,y", "--inputs: .* in this order"),
+        (f"{BOX} --inputs x,y,left", "--inputs: .* is no input"),
+        (f"{BOX} --inputs x,y,yaw --orientation free", "--orientation: with yaw"),
+        (f"{BOX} --reference-rpy-rad 1 0 0", "orientation is free"),
+        (f"{BOX} --orientation axis --reference-rpy-rad 1 0", "three numbers"),
+        (f"{BOX} --orientation axis --reference-rpy-rad nan 0 0", "three numbers"),
         ("--box 20 20 80 80", "takes 3 values and answers 3; the box has 2 coordinates"),
     ],
 )
@@ -174,13 +234,19 @@ def test_a_line_says_what_is_wrong(net, words, match):
     assert "\n" not in str(caught.value)
 
 
-def test_tiny_scales_are_no_traceback(net):
-    """What no float64 can hold is refused."""
+@pytest.mark.parametrize(
+    ("extreme", "said"),
+    [
+        ("--scale-mm 1e-310 1 1", "float32 may overflow"),
+        ("--output-scale 1e39 1e39 1e39", "float32 may overflow"),
+        ("--output-scale 1e30 1 1", "float32 adds at most"),
+    ],
+)
+def test_what_float32_cannot_hold_is_no_traceback(net, extreme, said):
     start = f"--weights {net} --activation tanh --robot {ROBOTS / 'rrr70.urdf'} {BOX}"
-    try:
-        certify(f"{start} --scale-mm 1e-310 1 1 --max-boxes 1", code=1)
-    except IksamplesError as error:
-        assert "\n" not in str(error)  # noqa: PT017
+    text = certify(f"{start} {extreme} --max-boxes 1")
+    assert said in text
+    assert bounds(text)[0] >= bounds(text)[1]
 
 
 def test_progress_is_said_after_a_second(capsys):

@@ -12,12 +12,13 @@ import onnx
 import onnxruntime
 import pandas as pd
 import pytest
-from certificate_cases import plain_tip, points_in, random_network
+from certificate_cases import plain_tip, points_in, random_network, turned_away
 
 from iksamples.answer.assess import answer
 from iksamples.answer.collect import FILE as RUNS_FILE
 from iksamples.answer.collect import read_runs
 from iksamples.answer.outcomes import outcomes
+from iksamples.certify.printing import rounded_up
 from iksamples.certify.readers.network import load_network
 from iksamples.certify.readers.proved import prove
 from iksamples.certify.readers.units import fed_as, read_as
@@ -41,22 +42,26 @@ SEEDS = (3, 4, 5)
 @pytest.fixture
 def results(tmp_path, rng):
     """A finished study of random networks, with errors to choose by."""
+    return finished(tmp_path / "results" / "small", rng)
+
+
+def finished(folder, rng, **settings):
     study = parse_study(
         {
             "name": "small",
             "samples": {"points_per_axis": [2, 3]},
             "training": {"seeds": len(SEEDS), "first_seed": SEEDS[0]},
             "methods": {"bent": {"network": {"activation": "tanh"}}},
+            **settings,
         }
     )
-    folder = tmp_path / "results" / "small"
     rows = []
     for method, activation in (("network", "relu"), ("bent", "tanh")):
         for cell, m in zip(cells(study, folder, method), (2, 3), strict=True):
             cell.folder.mkdir(parents=True)
             cell.samples_path.parent.mkdir(exist_ok=True)
             grid_samples(study, study_task(study), m).save(cell.samples_path)
-            low, high = (np.array(study.workspace.lower_mm), np.array(study.workspace.upper_mm))
+            low, high = np.array(study.workspace.lower), np.array(study.workspace.upper)
             stack = random_network(rng, (3, 6, 3), activation, n=3, lower=low, upper=high)
             StackedMLP(
                 stack.weights, stack.biases, activation, stack.offset_mm, stack.scale_mm, SEEDS
@@ -65,7 +70,8 @@ def results(tmp_path, rng):
                 error = 10.0 * abs(k - 1) + 30.0 / m + (method == "bent")
                 row = dict.fromkeys(RUNS, np.nan) | {
                     "method": method, "design": "grid", "label": cell.label, "n_samples": m**3,
-                    "n_trained": m**3, "seed": seed, "diverged": False, "region": "workspace",
+                    "n_trained": m**3, "region_share": 1.0, "seed": seed, "diverged": False,
+                    "region": "workspace",
                     "error_mean_mm": error / 2, "error_p95_mm": error, "error_p99_mm": error,
                     "error_max_mm": error, "verified": False, "region_share": 1.0,
                 }  # fmt: skip
@@ -172,7 +178,7 @@ def test_onnx_c_and_here_answer_the_same(
     np.testing.assert_allclose(run_c(function, points * given, 3), expected, atol=2e-5 * size)
 
     # What is run in float32 keeps to what is proved and allowed for.
-    bound = certificate["position_error"]["upper_mm"] + certificate["float32_mm"]
+    bound = certificate["position_error"]["upper_mm"] + certificate["position_error"]["float32_mm"]
     q = found.astype(float) / asked
     tips = plain_tip(task.arm, q)
     assert np.linalg.norm(tips - points, axis=1).max() <= bound + 1e-3
@@ -191,14 +197,48 @@ def test_the_file_is_certified_as_the_study_was(results, tmp_path):
     choice.network.save(tmp_path / "one.safetensors")
     rtol = choice.study.bounds.sup_rtol
     ours = load_network(tmp_path / "one.safetensors", (3, 3))
-    [direct] = prove(ours, task.arm, task.region, rtol=rtol)
+    [direct] = prove(ours, task.arm, task.region, task.target, rtol=rtol)["position"]
     read = load_network(
         written, (3, 3), fed=fed_as(["mm"] * 3, "m", None, None),
         read=read_as(["revolute"] * 3, ["deg"], None, None),
     )  # fmt: skip
-    [again] = prove(read, task.arm, task.region, rtol=rtol)
-    for bound in (direct.upper_mm, again.upper_mm):
+    [again] = prove(read, task.arm, task.region, task.target, rtol=rtol)["position"]
+    for bound in (direct.upper, again.upper):
         assert certificate["position_error"]["upper_mm"] == pytest.approx(bound, rel=1e-5)
+
+
+PLANAR = {
+    "robot": {
+        "urdf": "config/robots/planar3r.urdf",
+        "home_rad": {"shoulder": 0.2, "elbow": 0.9, "wrist": 0.4},
+    },
+    "task": {"inputs": ["x", "y", "yaw"], "orientation": "fixed", "reference_rpy_rad": [0, 0, 0]},
+    "workspace": {
+        "lower_mm": [80, 60], "upper_mm": [130, 130], "lower_rad": [1.0], "upper_rad": [1.8]
+    },
+}  # fmt: skip
+
+
+def test_a_task_that_turns_the_tool_has_its_angle_certified_too(rng, tmp_path):
+    """No joint values of the ONNX file turn the tool further away than is proved of it."""
+    choice = choose(finished(tmp_path / "turned", rng, **PLANAR), "bent")
+    certificate = export(choice, tmp_path / "out")
+    task = study_task(choice.study)
+    points = points_in(rng, task.x.lower, task.x.upper, 500)
+    joints = run_onnx(tmp_path / "out" / "ik.onnx", points).astype(float)
+    angle = certificate["angle_error"]
+    away = np.degrees(turned_away(task.arm, task.target, joints, points))
+    assert 0.9 * angle["lower_deg"] < away.max() <= angle["upper_deg"] + angle["float32_deg"]
+    most = np.array([angle["argmax"]])
+    [away] = np.degrees(turned_away(task.arm, task.target, choice.network.predict(most)[0], most))
+    assert away == pytest.approx(angle["lower_deg"], abs=1e-3)
+    off = np.linalg.norm(plain_tip(task.arm, joints)[:, :2] - points[:, :2], axis=1)
+    position = certificate["position_error"]
+    assert off.max() <= position["upper_mm"] + position["float32_mm"]
+    assert certificate["task"]["inputs"] == ["x", "y", "yaw"]
+    assert certificate["task"]["reference_rotation"] == np.eye(3).tolist()
+    comment = (tmp_path / "out" / "ik.c").read_text().split("*/")[0]
+    assert f"{rounded_up(angle['upper_deg'])} deg" in comment
 
 
 def test_the_onnx_file_says_what_it_is(results, tmp_path):

@@ -11,7 +11,7 @@ directions read as exact reals and each direction divided by its exact length; P
 coordinates and x_I the compared inputs; in real arithmetic. For an angle it is that between the
 tool's rotation and ``R(x)``, or between their z axes (``compared``), the stored rotations of the
 tool and the reference standing for the nearest rotations. The claim is about nothing outside the
-region. What evaluating the network in float32 adds to it is ``rounding.inference_slack_mm``.
+region. What evaluating the network in float32 adds to it is ``rounding.inference_slack``.
 
 The proof covers the region with leaves and encloses the residual over each: the network by the
 affine (ReLU) or second-order (tanh) expansion plus bounded noise, the arm by its second-order

@@ -42,37 +42,26 @@ FLOAT32 = Format(2.0**-24, 2.0**-149, float(np.finfo(np.float32).max))
 FLOAT64 = Format(2.0**-53, 2.0**-1074, float(np.finfo(np.float64).max))
 
 
-def inference_slack_mm(
-    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
+def inference_slack(
+    network: StackedMLP,
+    chain: SerialChain,
+    region: Region,
+    target: Target | None = None,
+    measure: Measure = "position",
 ) -> Floats:
-    """What to add to a position's certificate where the network itself is evaluated in float32.
+    """What to add to a certificate where the network itself is evaluated in float32.
 
     Args:
         network: Stacked networks.
         chain: The arm, whose forward kinematics is the real arm's and not rounded.
         region: The inputs that it is about.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+        measure: ``"position"`` [mm] or ``"angle"`` [rad].
 
     Returns:
-        One bound per network [mm], shape (networks,); infinite where the format overflows.
+        One bound per network [mm or rad], shape (networks,); infinite where a position's format
+        overflows.
     """
-    return _inference_slack(network, chain, region, target, "position")
-
-
-def inference_slack_rad(
-    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
-) -> Floats:
-    """As ``inference_slack_mm``, of an angle's certificate [rad]."""
-    return _inference_slack(network, chain, region, target, "angle")
-
-
-def _inference_slack(
-    network: StackedMLP,
-    chain: SerialChain,
-    region: Region,
-    target: Target | None,
-    measure: Measure,
-) -> Floats:
     layers = Layers.of(network)
     target = target or target_of(layers.n_inputs)
     items = compared(chain, target, measure, layers.n_inputs, layers.n_outputs)
@@ -99,24 +88,35 @@ def _inference_slack(
     return slack if measure == "position" else angle_rad(slack, len(items))
 
 
-def stored_slack_mm(
-    network: StackedMLP, chain: SerialChain, region: Region, target: Target | None = None
+def stored_slack(
+    network: StackedMLP,
+    chain: SerialChain,
+    region: Region,
+    target: Target | None = None,
+    measure: Measure = "position",
 ) -> Floats:
-    """What half a last place of every stored float64 number can do to the position [mm].
+    """What half a last place of every stored float64 number can do to the tool.
 
     Args:
         network: Stacked networks, whose numbers are rounded from others.
         chain: The arm.
         region: The inputs that it is about.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
+        measure: ``"position"`` [mm] or ``"angle"`` [rad].
 
     Returns:
-        One bound per network [mm], shape (networks,).
+        One bound per network [mm or rad], shape (networks,).
     """
     layers = Layers.of(network)
     target = target or target_of(layers.n_inputs)
-    [item] = compared(chain, target, "position", layers.n_inputs, layers.n_outputs)
-    return search_slack(layers, item, Linkage.of(chain), region)
+    items = compared(chain, target, measure, layers.n_inputs, layers.n_outputs)
+    linkages = [Linkage.of(item.behind()) for item in items]
+    squares = sum(
+        search_slack(layers, item, linkage, region) ** 2
+        for item, linkage in zip(items, linkages, strict=True)
+    )
+    slack = np.sqrt(squares)
+    return slack if measure == "position" else angle_rad(slack, len(items))
 
 
 def search_slack(

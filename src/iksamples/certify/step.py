@@ -9,6 +9,7 @@ from iksamples.arm.chain import Floats
 from iksamples.certify.checker import Claim, verify
 from iksamples.certify.compared import Measure
 from iksamples.certify.mean import MeanError, certify_mean
+from iksamples.certify.printing import degrees_down, degrees_up
 from iksamples.certify.search import Certificate, certify_stack
 from iksamples.certify.table import Table
 from iksamples.columns import certificate_columns
@@ -92,12 +93,10 @@ def _rows(
         boxes, seconds, done = certificate.boxes, certificate.seconds, certificate.complete
         verified = bool(np.isfinite(upper))
         if angles is not None:
-            turned, *ends = angles[row]
-            # Outward: a degree more or less in the last place.
-            ends = np.degrees(ends) * np.array([1.0 - 2.0**-50, 1.0 + 2.0**-50])
-            bounds |= dict(zip(("angle_lower_deg", "angle_upper_deg"), ends.tolist(), strict=True))
+            turned, least, most = angles[row]
+            bounds |= {"angle_lower_deg": degrees_down(least), "angle_upper_deg": degrees_up(most)}
             boxes, seconds = boxes + turned.boxes, seconds + turned.seconds
-            done, verified = done and turned.complete, verified and bool(np.isfinite(ends[1]))
+            done, verified = done and turned.complete, verified and bool(np.isfinite(most))
         rows.append(
             {
                 **_key(method, samples, seeds[row]),

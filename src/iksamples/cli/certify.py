@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from iksamples.arm.target import Target
     from iksamples.region import Region
 
 
 _NUMBERS = {
     "--box",
+    "--reference-rpy-rad",
     "--offset-mm",
     "--scale-mm",
     "--output-offset",
@@ -65,10 +67,33 @@ def certify(
         str,
         typer.Option(
             metavar="NUMBERS",
-            help="Workspace [mm]: all lower ends, then all upper ends, such as 20 20 0 80 80 60; "
-            "2 to 6 coordinates, those after the third in the network's own units.",
+            help="Workspace: the lower ends of all inputs, then the upper ends [mm; angles: rad], "
+            "such as 20 20 0 80 80 60.",
         ),
     ],
+    inputs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,C",
+            help="What the network is given, out of x,y,z,roll,pitch,yaw; two are x,y and three "
+            "x,y,z where this is left out.",
+        ),
+    ] = None,
+    orientation: Annotated[
+        Literal["free", "axis", "fixed"] | None,
+        typer.Option(
+            help="The tool may turn as it comes (free), its z axis is asked for (axis), or its "
+            "whole rotation (fixed). Default: fixed with an angle among the inputs, else free."
+        ),
+    ] = None,
+    reference_rpy_rad: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Roll, pitch and yaw of the tool where the angles among the inputs are zero "
+            "[rad]; default 0 0 0.",
+        ),
+    ] = None,
     activation: Annotated[
         str | None, typer.Option(help="relu or tanh, where the file does not say.")
     ] = None,
@@ -81,10 +106,15 @@ def certify(
     ] = None,
     offset_mm: Annotated[
         str | None,
-        typer.Option(metavar="NUMBERS", help="What is subtracted from a position first [mm]."),
+        typer.Option(
+            metavar="NUMBERS", help="What is subtracted from the inputs first [mm; angles: rad]."
+        ),
     ] = None,
     scale_mm: Annotated[
-        str | None, typer.Option(metavar="NUMBERS", help="And what it is divided by then [mm].")
+        str | None,
+        typer.Option(
+            metavar="NUMBERS", help="And what they are divided by then [mm; angles: rad]."
+        ),
     ] = None,
     input_unit: Annotated[
         str | None, typer.Option(help="What the network takes positions in: mm (default) or m.")
@@ -113,26 +143,27 @@ def certify(
     ] = None,
     rtol: Annotated[float, typer.Option(min=1e-6, max=1, help="Gap of the bounds.")] = 1e-3,
     time_limit: Annotated[
-        float, typer.Option(min=0, help="Time for the search, per network [s].")
+        float, typer.Option(min=0, help="Time for each search, per network [s].")
     ] = 60.0,
     max_boxes: Annotated[
-        int, typer.Option(min=1, help="Boxes that the search may bound, per network.")
+        int, typer.Option(min=1, help="Boxes that each search may bound, per network.")
     ] = 1_000_000,
 ) -> None:
-    """Prove the largest position error of any networks over a box, and check the proof.
+    """Prove the largest error of any networks over a box, and check the proof.
 
-    Exits with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
+    The error is of the tool's position and, unless its orientation is free, of its angle. Exits
+    with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
     """
     from iksamples.arm.load import load_arm
-    from iksamples.certify.printing import point, rounded_down, rounded_up
     from iksamples.certify.readers.network import load_network
-    from iksamples.certify.readers.proved import prove
+    from iksamples.certify.readers.proved import float32_in_words, prove
     from iksamples.certify.readers.units import fed_as, read_as
 
     region = _box(box)
+    target = _target(region.n_inputs, inputs, orientation, reference_rpy_rad)
     chain = load_arm(robot, base_link, tip_link)
     fed = fed_as(
-        [*["mm"] * 3, *["-"] * 3][: region.n_inputs],
+        target.units,
         input_unit,
         _numbers("--offset-mm", offset_mm),
         _numbers("--scale-mm", scale_mm),
@@ -151,33 +182,75 @@ def certify(
             _numbers("--output-scale", output_scale),
         ),
     )
-    seeds = reading.network.seeds
-    typer.echo(f"Read {weights}: {reading.order}.")
-    with _shown(f"proving; the search takes at most {time_limit * len(seeds):g} s"):
-        proved = prove(
-            reading, chain, region, rtol=rtol, time_limit_s=time_limit, max_boxes=max_boxes
-        )
-    for seed, one in zip(seeds, proved, strict=True):
-        if one.upper_mm == math.inf:
-            typer.echo(f"seed {seed}: NOT PROVED, so there is no bound.", err=True)
-            continue
-        typer.echo(
-            f"seed {seed}: no position of the box is missed by more than "
-            f"{rounded_up(one.upper_mm)} mm; at {point(one.argmax)} mm it is missed by "
-            f"{rounded_down(one.lower_mm)} mm (checked, {one.boxes} boxes"
-            f"{'' if one.complete else '; stopped early, so the bound may be far above'})"
-        )
-    if any(one.upper_mm == math.inf for one in proved):
-        raise typer.Exit(1)
     network = reading.network
+    typer.echo(f"Read {weights}: {reading.order}.")
+    searches = network.n_seeds * (1 if target.orientation == "free" else 2)
+    with _shown(f"proving; the search takes at most {time_limit * searches:g} s"):
+        proved = prove(
+            reading, chain, region, target, rtol=rtol, time_limit_s=time_limit, max_boxes=max_boxes
+        )
+    for row, seed in enumerate(network.seeds):
+        for found in proved.values():
+            one, how = found[row], ""
+            if one.upper < math.inf:
+                early = "" if one.complete else "; stopped early, so the bound may be far above"
+                how = f" (checked, {one.boxes} boxes{early})"
+            typer.echo(f"seed {seed}: {one.in_words()}{how}.", err=one.upper == math.inf)
+    every = [one for found in proved.values() for one in found]
+    if any(one.upper == math.inf for one in every):
+        raise typer.Exit(1)
+    names = ", ".join(f"{n} [{unit}]" for n, unit in zip(target.names, target.units, strict=True))
     if not network.offset_mm.any() and (network.scale_mm == 1).all():
-        typer.echo("Positions go into the network as they are, in mm (no option says otherwise).")
+        units = " and ".join(dict.fromkeys(target.units))
+        typer.echo(
+            f"Inputs go into the network as they are, in {units} (no option says otherwise)."
+        )
     folded = " (as folded here; the file's own operations round more often)"
     typer.echo(
         "Proved for the stored weights read as exact real numbers, in real arithmetic, over the "
-        "closed box; evaluating these layers in float32 adds at most "
-        f"{rounded_up(max(one.float32_mm for one in proved))} mm{folded if reading.folded else ''}."
+        f"closed box ({names}); {float32_in_words(every)}{folded if reading.folded else ''}."
     )
+
+
+def _target(
+    n_inputs: int,
+    inputs: str | None,
+    orientation: Literal["free", "axis", "fixed"] | None,
+    reference_rpy_rad: str | None,
+) -> "Target":
+    """What is asked of the tool."""
+    import numpy as np
+
+    from iksamples.arm.chain import roll_pitch_yaw
+    from iksamples.arm.target import COORDINATES, Target
+
+    if inputs is None and n_inputs > 3:
+        raise IksamplesError(
+            f"--box has {n_inputs} coordinates; name them: --inputs "
+            f"{','.join(COORDINATES[:n_inputs])}, for example."
+        )
+    names = COORDINATES[:n_inputs] if inputs is None else tuple(inputs.replace(" ", "").split(","))
+    if len(names) != n_inputs:
+        raise IksamplesError(
+            f"--inputs names {len(names)} coordinates, and --box has {n_inputs}; give two ends for "
+            "each."
+        )
+    if orientation is None:
+        orientation = "fixed" if set(names) & set(COORDINATES[3:]) else "free"
+    rpy = _numbers("--reference-rpy-rad", reference_rpy_rad)
+    if rpy is None:
+        rpy = np.zeros(3)
+    elif orientation == "free":
+        raise IksamplesError(
+            "--reference-rpy-rad: the tool's orientation is free; leave it out, or say "
+            "--orientation axis or fixed."
+        )
+    elif rpy.shape != (3,) or not np.isfinite(rpy).all():
+        raise IksamplesError("--reference-rpy-rad: give roll, pitch and yaw, three numbers [rad].")
+    try:
+        return Target(names, orientation, roll_pitch_yaw(rpy))
+    except IksamplesError as error:
+        raise IksamplesError(str(error).replace("task.", "--", 1)) from None
 
 
 def _box(text: str) -> "Region":

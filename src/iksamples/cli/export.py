@@ -48,9 +48,12 @@ def export(
 
     choice = choose(results or newest("results"), method, samples, seed)
     certificate = write(choice, output, input_unit, output_unit or ())
+    errors = [
+        certificate[name] for name in ("position_error", "angle_error") if name in certificate
+    ]
     typer.echo(
         f"{choice.study.name}, {choice.cell.method}, {choice.cell.label}, seed {choice.seed}: "
         f"{choice.why}.\n"
-        f"{certificate['position_error']['says']}\n"
-        f"Written to {output}: {ONNX_FILE}, {C_FILE}, {CERTIFICATE}"
+        + "".join(f"{error['says']}\n" for error in errors)
+        + f"Written to {output}: {ONNX_FILE}, {C_FILE}, {CERTIFICATE}"
     )

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from iksamples import __version__
-from iksamples.certify.printing import point, rounded_down, rounded_up
+from iksamples.certify.printing import point
 from iksamples.certify.readers.network import Reading, load_network
-from iksamples.certify.readers.proved import Proved, prove
+from iksamples.certify.readers.proved import Proved, float32_in_words, prove
 from iksamples.certify.readers.units import fed_as, read_as
 from iksamples.errors import IksamplesError
 from iksamples.export.c_source import c_source
@@ -64,10 +64,9 @@ def export(
             fed=fed_as(task.x.units, input_unit, None, None),
             read=read,
         )
-    [proved] = prove(
-        reading, task.arm, task.region, target=task.target, rtol=choice.study.bounds.sup_rtol
-    )
-    if proved.upper_mm == math.inf:
+    found = prove(reading, task.arm, task.region, task.target, rtol=choice.study.bounds.sup_rtol)
+    proved = {f"{measure}_error": one for measure, [one] in found.items()}
+    if any(one.upper == math.inf for one in proved.values()):
         raise IksamplesError(
             f"{choice.cell.method} on {choice.cell.label}, seed {choice.seed}: the checker proves "
             "no bound of this network, so it is not written; name another --seed."
@@ -79,7 +78,9 @@ def export(
     }
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ONNX_FILE).write_bytes(model)
-    (folder / C_FILE).write_text(c_source(network, _comment(certificate)), encoding="utf-8")
+    (folder / C_FILE).write_text(
+        c_source(network, _comment(certificate, proved.values())), encoding="utf-8"
+    )
     text = json.dumps(certificate, indent=2)
     (folder / CERTIFICATE).write_text(text + "\n", encoding="utf-8")
     return certificate
@@ -98,7 +99,7 @@ def _source(choice: Choice) -> dict[str, str]:
 
 
 def _certificate(
-    choice: Choice, task: Task, model: bytes, reading: Reading, proved: Proved
+    choice: Choice, task: Task, model: bytes, reading: Reading, proved: dict[str, Proved]
 ) -> dict[str, Any]:
     """Everything that the claim is about, and who proved it."""
     urdf = Path(choice.study.robot.urdf)
@@ -112,6 +113,7 @@ def _certificate(
             "sha256": hashlib.sha256(urdf.read_bytes()).hexdigest(),
             "base_link": choice.study.robot.base_link,
             "tip_link": choice.study.robot.tip_link,
+            "tool_offset_mm": list(choice.study.robot.tool_offset_mm),
             "joints": list(task.q.names),
         },
         "region": {
@@ -119,19 +121,12 @@ def _certificate(
             "lower": task.region.lower.tolist(),
             "upper": task.region.upper.tolist(),
         },
-        "position_error": {
-            "upper_mm": proved.upper_mm,
-            "lower_mm": proved.lower_mm,
-            "argmax": proved.argmax.tolist(),
-            "checked": True,
-            "met": proved.complete,
-            "says": f"No input of the region is missed by more than {rounded_up(proved.upper_mm)} "
-            f"mm; at {point(proved.argmax)} it is missed by {rounded_down(proved.lower_mm)} mm. In "
-            "real arithmetic, by the nominal arm.",
+        "task": {
+            "inputs": list(task.target.coordinates),
+            "orientation": task.target.orientation,
+            "reference_rotation": task.target.reference_rotation.tolist() if task.turns else None,
         },
-        "float32_mm": proved.float32_mm,
-        "float32_says": "What evaluating the layers in float32 adds at most"
-        + ("; the changes of unit round besides." if reading.folded else "."),
+        **{name: _error(one, reading) for name, one in proved.items()},
         "versions": {
             "iksamples": __version__,
             "numpy": np.__version__,
@@ -140,7 +135,23 @@ def _certificate(
     }
 
 
-def _comment(certificate: dict[str, Any]) -> list[str]:
+def _error(proved: Proved, reading: Reading) -> dict[str, Any]:
+    """What is claimed of one error."""
+    unit = proved.unit
+    return {
+        f"upper_{unit}": proved.upper,
+        f"lower_{unit}": proved.lower,
+        "argmax": proved.argmax.tolist(),
+        "checked": True,
+        "met": proved.complete,
+        "says": f"Over the region {proved.in_words()}. In real arithmetic, by the nominal arm.",
+        f"float32_{unit}": proved.float32 if proved.float32 < math.inf else None,
+        "float32_says": float32_in_words([proved])
+        + ("; the changes of unit round besides." if reading.folded else "."),
+    }
+
+
+def _comment(certificate: dict[str, Any], proved: Collection[Proved]) -> list[str]:
     """The comment of the C file."""
     network, region = certificate["network"], certificate["region"]
     lines = [
@@ -148,9 +159,9 @@ def _comment(certificate: dict[str, Any]) -> list[str]:
         f"study {network['study']}, method {network['method']}, samples {network['samples']}, "
         f"seed {network['seed']}.",
         "",
-        "Proved over the region below, in real arithmetic, by the nominal arm: no position error",
-        f"above {rounded_up(certificate['position_error']['upper_mm'])} mm. "
-        f"Evaluating the layers in float adds at most {rounded_up(certificate['float32_mm'])} mm.",
+        "Proved over the region below, in real arithmetic, by the nominal arm:",
+        *(f"{one.in_words()};" for one in proved),
+        f"{float32_in_words(proved)}.",
         "Outside the region nothing is known. Computed in float, whatever the units.",
         "",
         f"Region ({', '.join(region['coordinates'])}):",
