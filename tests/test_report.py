@@ -90,6 +90,23 @@ def table_with(page: html.HtmlElement, *heads: str) -> pd.DataFrame:
     raise AssertionError(f"no table with the heads {heads}")
 
 
+def test_what_is_proved_of_a_part_of_the_workspace_is_not_said_of_all_of_it(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(project / "results/small", tmp_path / "results/small")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(project / "config")
+    study = Study.model_validate_json(Path("results/small/study.json").read_bytes())
+    runs = pd.read_parquet("results/small/runs.parquet")
+    with kept_file("results/small/runs.parquet") as file:
+        runs.assign(region_share=0.8).to_parquet(file)
+    write_report(study, "results/small", "reports/small")
+    text = " ".join(Path("reports/small/README.md").read_text().split())
+    for says in ("Error over", "the worst error over", "holds for every point of"):
+        assert f"{says} the usable part of the workspace" in text
+    assert "% of the usable part of the workspace has an error" in text
+
+
 def test_the_answers_table_is_the_answer(project: Path, page: html.HtmlElement) -> None:
     answer = read_answer(project / "results/small")
     shown = table_with(page, "Method", "What it is", "Samples needed").set_index("Method")

@@ -29,9 +29,7 @@ rule record:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings(
-            "title", "robot", "task", "workspace", "evaluation", "training"
-        ),
+        settings=settings("robot", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.recording.record"),
         results=results_folder,
     shell:

@@ -46,6 +46,12 @@ class ReportData:
         return next(iter(self.study.evaluation.paths))
 
     @property
+    def place(self) -> str:
+        """What errors and proofs are over, in words."""
+        whole = (self.runs["region_share"] == 1).all()
+        return "the workspace" if whole else "the usable part of the workspace"
+
+    @property
     def several_designs(self) -> bool:
         """Whether samples are placed in more than one way."""
         return len(self.study.samples.designs) > 1
