@@ -1,5 +1,7 @@
 """What a valid study may still get wrong."""
 
+import re
+
 import pytest
 
 from iksamples.advice import advice
@@ -11,8 +13,9 @@ from iksamples.task import study_task
 
 def notes(**settings):
     study = parse_study({"name": "s", "samples": {"points_per_axis": [2]}, **settings})
-    sets = [record_samples(study, study_task(study), *one) for one in sample_sets(study).values()]
-    return advice(study, sets)
+    task = study_task(study)
+    sets = [record_samples(study, task, *one) for one in sample_sets(study).values()]
+    return advice(study, task, sets)
 
 
 @pytest.mark.parametrize(("seeds", "enough"), [(13, False), (14, True)])
@@ -41,3 +44,21 @@ def test_a_masked_grid_is_none():
     workspace = {"lower_mm": [20, 20, 0], "upper_mm": [120, 120, 60]}
     [line] = notes(methods={"spline": {"kind": "cubic"}}, samples=samples, workspace=workspace)
     assert line.startswith("spline has no results on grid3:")
+
+
+def test_a_path_beyond_the_samples_is_told():
+    # A circle of 20 mm about the middle of the workspace's side x = 80: half of it lies beyond.
+    def ring(x):
+        circle = {"shape": "circle", "waypoints": 101, "centre_mm": [x, 50, 30], "width_mm": 20}
+        return {"evaluation": {"paths": {"ring": circle}}, "training": {"seeds": 20}}
+
+    [line] = notes(**ring(80))
+    assert "evaluation.paths.ring" in line
+    assert int(re.search(r"(\d+) of 101 points lie outside", line).group(1)) in (50, 51)
+    assert notes(**ring(60)) == []
+
+
+def test_limits_that_must_be_degrees_are_told():
+    limits = {"yaw": [-150, 150], "elbow": [-6.2, 6.2]}
+    [line] = notes(robot={"limits_rad": limits})
+    assert line.startswith("yaw can turn from -150 to 150 rad, 48 turns")

@@ -268,6 +268,28 @@ def test_a_refused_box_says_where_and_what_would_do():
         require_workspace(wide, study_task(wide))
 
 
+@pytest.mark.parametrize("unreachable", ["error", "mask"])
+def test_where_nothing_can_be_used_the_remedy_is_the_place_of_the_tool(unreachable):
+    """A workspace in metres by mistake: masking is no way out, knowing where the arm is one."""
+    metres = {"lower_mm": [0.02, 0.02, 0], "upper_mm": [0.08, 0.08, 0.06]}
+    samples = {"unreachable": unreachable}
+    study = parse_study({"name": "metres", "workspace": metres, "samples": samples})
+    with pytest.raises(IksamplesError, match="can") as refusal:
+        require_workspace(study, study_task(study))
+    assert "mask" not in str(refusal.value)
+    place = re.search(r"the tool is at \((.+), (.+), (.+)\) mm: move the box", str(refusal.value))
+    there = np.array(place.groups(), float)
+    moved = {"lower_mm": (there - 3).tolist(), "upper_mm": (there + 3).tolist()}
+    study = parse_study({"name": "moved", "workspace": moved, "samples": samples})
+    require_workspace(study, study_task(study))
+
+
+def test_a_home_in_degrees_is_recognised():
+    chain = JOBS["ur5e-down"].chain
+    with pytest.raises(IksamplesError, match=r"-90 rad is outside .* -90 deg is -1\.571 rad"):
+        solve(chain, JOBS["ur5e-down"].target, np.zeros((1, 3)), home=[0, -90, 1.5, -1.5, -1.5, 0])
+
+
 def test_a_box_that_is_torn_inside_is_refused_and_the_tear_left_out():
     """The UR5e past its base: both points are usable, but not from one to the other."""
     job = JOBS["ur5e-down"]

@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from iksamples.evaluation.paths import waypoints
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import KINDS
 from iksamples.methods.tensor import tensor_grid
@@ -9,17 +12,51 @@ from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.stats import met_needed, seeds_needed, single_share
 from iksamples.study import Study
+from iksamples.task import Task
 from iksamples.text import percent, several, whole
 
 
-def advice(study: Study, sets: Sequence[SampleSet]) -> list[str]:
+_MOST_TURNS = 10
+"""Turns between a joint's limits beyond which they are hardly meant in radians."""
+
+
+def advice(study: Study, task: Task, sets: Sequence[SampleSet]) -> list[str]:
     """One line for each thing that will not come out as its author may expect.
 
     Args:
         study: The study.
+        task: Its task.
         sets: Its samples, but for those chosen in training.
     """
-    return [*_too_few_seeds(study), *_methods_without_samples(study, sets)]
+    return [
+        *_limits_in_degrees(task),
+        *_paths_outside(study, task),
+        *_too_few_seeds(study),
+        *_methods_without_samples(study, sets),
+    ]
+
+
+def _limits_in_degrees(task: Task) -> list[str]:
+    limits = zip(task.q.names, task.q.units, task.q.lower, task.q.upper, strict=True)
+    return [
+        f"{name} can turn from {low:g} to {high:g} rad, {(high - low) / (2 * np.pi):.0f} turns; "
+        "limits are in radians (in a URDF too)."
+        for name, unit, low, high in limits
+        if unit == "rad" and high - low > _MOST_TURNS * 2 * np.pi
+    ]
+
+
+def _paths_outside(study: Study, task: Task) -> list[str]:
+    found = []
+    for name, path in study.evaluation.paths.items():
+        x = waypoints(path, task).x
+        outside = len(x) - int(np.sum(task.region.contains(x)))
+        if outside:
+            found.append(
+                f"evaluation.paths.{name}: {outside} of {len(x)} points lie outside of the "
+                "workspace, where there are no samples; its errors are partly extrapolation."
+            )
+    return found
 
 
 def _too_few_seeds(study: Study) -> list[str]:

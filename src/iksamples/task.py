@@ -237,8 +237,8 @@ def usable_region(x: Space, label: Callable[[ArrayLike], Solution]) -> Region:
     if not usable.any():
         bad = int(np.flatnonzero(~found.usable)[0])
         raise IksamplesError(
-            f"The workspace: the arm can use no part of it; {found.why_not(bad)}. Move it, "
-            "or widen the joint limits."
+            f"The workspace: the arm can use no part of it; {found.why_not(bad)}. "
+            f"{found.where_to_go()}: move the box there."
         )
     lower, upper = (
         np.stack([side[2 * ends[:, i]] for i, side in enumerate(sides)], axis=1)

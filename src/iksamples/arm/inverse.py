@@ -95,6 +95,16 @@ class Solution:
             )
         return f"{where} is singular"
 
+    def where_to_go(self) -> str:
+        """In words, where the arm has its tool: what helps where no part of a box can be used."""
+        home = (self.chain.lower + self.chain.upper) / 2 if self.home is None else self.home
+        posture = "With its joints amid their limits" if self.home is None else "At home"
+        at = ", ".join(_plain(self.chain.forward_mm(home), 1))
+        if self.target.orientation == "free":
+            return f"{posture} the tool is at ({at}) mm"
+        along = ", ".join(_plain(self.chain.rotation(home)[:, 2], 4))
+        return f"{posture} the tool is at ({at}) mm with its z axis along ({along})"
+
     def require_usable(self, what: str, remedy: str) -> None:
         """Stops where a point is not usable.
 
@@ -279,6 +289,8 @@ def require_usable_lattice(
         ends = zip(solution.target.names, *box, solution.target.units, strict=True)
         sides = ", ".join(f"{name} {low:g} to {high:g} {unit}" for name, low, high, unit in ends)
         remedy = f"The largest usable box inside is {sides}. {remedy}"
+    else:
+        remedy = f"{solution.where_to_go()}: move the box there."
     solution.require_usable(what, remedy)
     first = _in_words(solution.target, solution.x[int(np.argmax(torn))])
     raise IksamplesError(
@@ -295,10 +307,13 @@ def _checked_home(chain: SerialChain, home: ArrayLike) -> Floats:
         )
     if not chain.within_limits(home):
         worst = int(np.argmax(np.maximum(chain.lower - home, home - chain.upper)))
+        value, unit = home[worst], chain.joint_units[worst]
+        low, high = chain.lower[worst], chain.upper[worst]
+        in_degrees = unit == "rad" and low <= np.radians(value) <= high
+        hint = f" In degrees? {value:g} deg is {np.radians(value):.4g} rad." if in_degrees else ""
         raise IksamplesError(
-            f"robot.home_rad: {chain.joint_names[worst]} = {home[worst]:g} "
-            f"{chain.joint_units[worst]} is outside its limits "
-            f"[{chain.lower[worst]:.3f}, {chain.upper[worst]:.3f}]."
+            f"robot.home_{unit}: {chain.joint_names[worst]} = {value:g} {unit} is outside its "
+            f"limits [{low:.3f}, {high:.3f}].{hint}"
         )
     return home
 
@@ -313,6 +328,11 @@ def _arrived(chain: SerialChain, target: Target, joints: Floats, x: Floats) -> F
 
 def _largest(values: Floats) -> Floats:
     return np.max(np.abs(values), axis=-1)
+
+
+def _plain(values: Floats, digits: int) -> list[str]:
+    """Numbers with so many digits, and no -0.0."""
+    return [f"{value:.{digits}f}" for value in values.round(digits) + 0.0]
 
 
 def _in_words(target: Target, x: Floats) -> str:

@@ -38,18 +38,19 @@ def check(study_file: StudyFile) -> None:
         typer.echo(f"{valid}\n{readings_text(study, len(task.q))}")
         return
     require_feasible(study, task)
-    typer.echo(valid)
-    sets, all_recorded = sample_sets(study), []
+    sets, all_recorded, lines = sample_sets(study), [], [valid]
     for label, (design, n) in sets.items():
         if design == "adaptive":
-            typer.echo(f"  {label}: {n} samples, chosen in training")
+            lines.append(f"  {label}: {n} samples, chosen in training")
             continue
         recorded = record_samples(study, task, design, n)
         all_recorded.append(recorded)
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
-        typer.echo(f"  {label}: {recorded.n_samples} samples{masked}")
+        lines.append(f"  {label}: {recorded.n_samples} samples{masked}")
+    typer.echo("\n".join(lines))
     box = region_points(Region.box(task.x.lower, task.x.upper), study.evaluation.cube_points)
-    typer.echo("  workspace: " + _in_words(task.reach(box).summary()))
+    reach = task.reach(box)
+    typer.echo(f"  workspace: {_in_words(reach.summary())}. {reach.where_to_go()}")
     if task.region.n_boxes > 1:
         typer.echo(
             f"  everything is over the usable part of the workspace, {100 * task.region_share:.1f} "
@@ -61,7 +62,7 @@ def check(study_file: StudyFile) -> None:
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sets) * seeds
     typer.echo(f"  {trained} networks to train")
-    advise(study, all_recorded)
+    advise(study, task, all_recorded)
 
 
 @app.command()
@@ -92,7 +93,7 @@ def plan(
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
     typer.echo(plan_text(study, plan_study(study, len(task.q), cached), cores))
-    advise(study, sets)
+    advise(study, task, sets)
 
 
 @app.command()

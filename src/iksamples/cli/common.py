@@ -81,11 +81,11 @@ def open_study(study_file: Path) -> "tuple[Study, Task]":
     return study, study_task(study)
 
 
-def advise(study: "Study", sets: "list[SampleSet]") -> None:
+def advise(study: "Study", task: "Task", sets: "list[SampleSet]") -> None:
     """Says what may surprise the author of a study."""
     from iksamples.advice import advice
 
-    for line in advice(study, sets):
+    for line in advice(study, task, sets):
         typer.echo(f"Note: {line}", err=True)
 
 
