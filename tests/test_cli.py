@@ -33,7 +33,7 @@ def test_every_command_has_help(command):
 
 def test_help_keeps_its_units(command):
     text = " ".join(run(command, "certify", "--help").stdout.split())
-    assert "Workspace [mm]: all lower ends, then all upper ends" in text
+    assert "[mm; angles: rad]" in text
 
 
 def test_check_says_what_the_arm_can_reach(command):
