@@ -67,3 +67,12 @@ def test_nothing_is_imported_to_read_sources():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not [name for name in done.stdout.split() if not name.startswith("encodings")]
+
+
+def test_what_python_and_numba_keep_for_themselves_does_not_count(package):
+    before = digests(package)
+    kept = package / "deep" / "__pycache__"
+    kept.mkdir(exist_ok=True)
+    (kept / "step.loop-1.py311.nbi").write_bytes(b"index")
+    (kept / "step.loop-1.py311.1.nbc").write_bytes(b"machine code")
+    assert digests(package) == before

@@ -41,7 +41,9 @@ def _collect(module: str, found: set[Path]) -> None:
     if path.name == "__init__.py":
         # Importing a package runs its __init__ alone, but what it ships as data counts too.
         found.update(
-            p for p in path.parent.rglob("*.*") if p.suffix not in (".py", ".pyc") and p.is_file()
+            p
+            for p in path.parent.rglob("*.*")
+            if p.suffix != ".py" and p.is_file() and p.parent.name != "__pycache__"
         )
     for name in _imports(path):
         if name.startswith(f"{__package__}.") and name != f"{__package__}.sources":
