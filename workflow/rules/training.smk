@@ -11,6 +11,15 @@ OUTPUTS
     results/<study>/<method>/<samples>/{weights,snapshots}.safetensors, {history,members}.parquet
 """
 
+from iksamples.plan import plan_study
+
+
+def training_threads(wildcards):
+    """One where it is mostly Lightning that is imported: another job can have the other core."""
+    # An arm has as many joints as inputs at least; how many hardly matters here.
+    methods = plan_study(STUDY, n_joints=len(STUDY.task.inputs)).methods
+    return 1 if sum(method.seconds for method in methods) < 5 else 2
+
 
 rule train:
     """Train every seed of every network on every set of samples."""
@@ -30,7 +39,7 @@ rule train:
         ),
     benchmark:
         "results/{study}/benchmarks/train.jsonl"
-    threads: 2
+    threads: training_threads
     params:
         study="results/{study}/study.json",
         settings=settings("network", "training", "methods"),
