@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain, angles_of
+from iksamples.arm.deviation import rotation_of
 from iksamples.arm.target import COORDINATES, Target
 
 
@@ -81,7 +82,7 @@ class Follower:
 
         def aim(points: NDArray[np.intp]) -> tuple[Floats, Floats]:
             done = (taken[points] / n_steps[points])[:, None]
-            on_the_way = _rotation(done * turn[points]) @ start_rotation[points]
+            on_the_way = rotation_of(done * turn[points]) @ start_rotation[points]
             last = done >= 1
             return (
                 np.where(last, position[points], start_position[points] + done * travel[points]),
@@ -232,15 +233,3 @@ def _times(matrix: Floats, vector: Floats) -> Floats:
 
 def _norm(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1), float)
-
-
-def _rotation(vectors: Floats) -> Floats:
-    """Rotation matrices of rotation vectors [rad], shape (..., 3): Rodrigues' formula."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack(
-        [np.stack(row, axis=-1) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])], axis=-2
-    )
-    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    half = np.sinc(angle / (2 * np.pi))
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + half**2 / 2 * (cross @ cross)

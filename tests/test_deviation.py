@@ -1,0 +1,45 @@
+"""Tests of arms that differ from their drawing."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from iksamples.arm.deviation import deviated
+from iksamples.arm.load import load_arm
+
+
+def motion(rotation_vector, centre, move=(0.0, 0.0, 0.0)):
+    """Homogeneous matrix of a turn about a point, then a displacement (matrix exponential)."""
+    x, y, z = rotation_vector
+    matrix = np.eye(4)
+    matrix[:3, :3] = expm(np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
+    matrix[:3, 3] = np.asarray(centre) + move - matrix[:3, :3] @ centre
+    return matrix
+
+
+@pytest.mark.parametrize("robot", ["rrr70", "scara", "panda"])
+def test_the_arm_is_its_drawing_with_a_motion_before_every_joint_and_the_tool(robot):
+    chain = load_arm(f"config/robots/{robot}.urdf")
+    generator = np.random.default_rng(1)
+    rows = generator.normal(size=(chain.n_joints + 1, 6)) * [5, 5, 5, 0.1, 0.1, 0.1]
+    arm = deviated(chain, rows)
+    for _ in range(20):
+        joints = generator.uniform(-1, 1, chain.n_joints)
+        pose = np.eye(4)
+        for i, kind in enumerate(chain.joint_kinds):
+            point, axis, value = chain.points_mm[i], chain.axes[i], joints[i]
+            pose = pose @ motion(rows[i, 3:], point, rows[i, :3])
+            turning = kind == "revolute"
+            pose = pose @ motion(axis * value * turning, point, axis * value * (not turning))
+        pose = pose @ motion(rows[-1, 3:], chain.tip_mm, rows[-1, :3])
+        position, rotation = arm.pose(joints)
+        np.testing.assert_allclose(position, (pose @ [*chain.tip_mm, 1])[:3], atol=1e-9)
+        np.testing.assert_allclose(rotation, pose[:3, :3] @ chain.tip_rotation, atol=1e-12)
+        np.testing.assert_allclose(arm.forward_mm(joints), position, atol=1e-9)
+
+
+def test_without_deviations_it_is_the_drawing():
+    chain = load_arm("config/robots/ur5e.urdf")
+    arm = deviated(chain, np.zeros((7, 6)))
+    np.testing.assert_array_equal(arm.axes, chain.axes)
+    np.testing.assert_allclose(arm.tip_mm, chain.tip_mm)
