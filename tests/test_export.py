@@ -72,7 +72,7 @@ def finished(folder, rng, **settings):
                     "method": method, "design": "grid", "label": cell.label, "n_samples": m**3,
                     "n_trained": m**3, "seed": seed, "diverged": False, "region": "workspace",
                     "error_mean_mm": error / 2, "error_p95_mm": error, "error_p99_mm": error,
-                    "error_max_mm": error, "verified": False, "region_share": 1.0,
+                    "error_max_mm": error, "verified": False, "region_share": 1.0, "n_points": 8200,
                 }  # fmt: skip
                 rows.append(row)
     pd.DataFrame(rows).to_parquet(folder / RUNS_FILE)

@@ -42,6 +42,7 @@ def make_rows(errors, method="network", design="grid", certified=False, lower=No
                 "error_mm": float(error),
                 "certified": certified,
                 "region_share": 1.0,
+                "n_points": 8200,
                 "attained_mm": float(error if lower is None else lower),
             }
             for m, seeds in errors.items()
@@ -339,6 +340,7 @@ class TestWords:
     )
     def test_what_is_asked(self, tolerance, head):
         rows = make_rows({2: met(0), 3: met(20)})
+        rows["n_points"] = 200 if "where" in tolerance else 8200
         assert answer(make_study(tolerance), rows).headline.startswith(head)
 
     def test_a_lower_end_never_reads_as_more_than_it_is(self):

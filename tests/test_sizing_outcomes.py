@@ -11,6 +11,7 @@ from iksamples.answer.extrapolate import errors_matrix
 from iksamples.answer.outcomes import COLUMNS, errors_at_samples, outcomes
 from iksamples.columns import RUNS
 from iksamples.errors import IksamplesError
+from iksamples.evaluation.paths import count_waypoints
 from iksamples.network import StackedMLP
 from iksamples.results import Cell
 from iksamples.samples.record import record_samples
@@ -135,6 +136,11 @@ def on_27(rows):
 def test_one_row_per_method_samples_seed_and_region(results):
     runs = collect(make_study(), results)
     assert list(runs.columns) == list(RUNS)
+    paths = make_study().evaluation.paths
+    counts = {"workspace": 8192 + 8} | {name: count_waypoints(path) for name, path in paths.items()}
+    assert runs.groupby("region")["n_points"].unique().map(list).to_dict() == {
+        name: [n] for name, n in counts.items()
+    }
     keys = ["method", "design", "label", "seed", "region"]
     assert not runs.duplicated(keys).any()
     assert len(runs) == 3 * (2 * SEEDS + 1)

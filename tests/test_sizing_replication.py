@@ -38,6 +38,7 @@ def trainings(shares, n=200, good=1.0, bad=9.0):
                 "error_mm": good if i < met else bad,
                 "certified": False,
                 "region_share": 1.0,
+                "n_points": 8200,
                 "attained_mm": good if i < met else bad,
             }
             for samples, met in shares.items()
@@ -163,6 +164,7 @@ def outcomes_of(rng, medians, seeds, spread=0.3):
             "error_mm": error,
             "certified": False,
             "region_share": 1.0,
+            "n_points": 8200,
             "attained_mm": error,
         }
     )

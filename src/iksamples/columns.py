@@ -112,6 +112,7 @@ RUNS: dict[str, Column] = {
     "diverged": Column("-", "whether its weights are not finite: a training that failed"),
     "region": Column("-", "`workspace`, or the name of a path"),
     "region_share": Column("-", "share of the workspace that can be used, which all else is over"),
+    "n_points": Column("-", "points at which errors are measured"),
     **ERRORS,
     **ANGLES,
     "sup_lower_mm": Column("mm", "proved: an error that is taken in the workspace"),

@@ -36,6 +36,7 @@ class Size(Part):
     label: str = Field(description="Name of the set of samples.")
     n_samples: int = Field(description="Samples.")
     n_seeds: int = Field(description="Trainings; 1 for a method without chance.")
+    n_points: int = Field(description="Points at which an error that is not proved is measured.")
     n_met: int = Field(description="Trainings that meet the tolerance.")
     n_undecided: int = Field(
         description="Trainings counted as failed though it is not proved that they fail: the "

@@ -21,7 +21,7 @@ from iksamples.answer.collect import Variant, read_runs, variants
 from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
 from iksamples.answer.outcomes import outcomes
-from iksamples.answer.sentences import headline, points_measured, told
+from iksamples.answer.sentences import headline, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.results import Cell
 from iksamples.stats import Floats, Interval, compare, seeds_needed
@@ -82,7 +82,7 @@ def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> A
         digest=study.digest(),
         tolerance=study.tolerance,
         confidence=confidence,
-        n_points=points_measured(study),
+        n_points=int(rows["n_points"].iloc[0]),
         sizes=sorted({size.n_samples for one in methods for size in one.sizes}),
         region_share=share,
         headline=headline(study, methods, confidence, share),

@@ -11,6 +11,7 @@ import numpy as np
 from iksamples.columns import ANGLES, ERRORS, RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
+from iksamples.evaluation.paths import count_waypoints
 from iksamples.files import checked
 from iksamples.results import Cell, cells, certified, networks
 from iksamples.study import Study
@@ -164,9 +165,16 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
             "diverged": ~sound,
             "region": errors["region"].replace({CUBE: WORKSPACE}).astype(str),
             "region_share": samples.region_share,
+            "n_points": [_points_measured(study, where) for where in errors["region"]],
         }
     )
     return rows.join(errors.reindex(columns=[*ERRORS, *ANGLES]).astype(float))
+
+
+def _points_measured(study: Study, where: str) -> int:
+    if where == CUBE:
+        return study.evaluation.cube_points + 2 ** len(study.task.inputs)
+    return count_waypoints(study.evaluation.paths[where])
 
 
 def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":

@@ -19,6 +19,7 @@ COLUMNS = (
     "n_samples",
     "seed",
     "region_share",
+    "n_points",
     "error_mm",
     "certified",
     "attained_mm",

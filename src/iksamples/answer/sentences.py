@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from iksamples.answer.answer import Confidence, Size, VariantAnswer
-from iksamples.evaluation.paths import count_waypoints
 from iksamples.study import NETWORK, Study, Tolerance
 from iksamples.text import (
     described,
@@ -130,14 +129,6 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
     return lines
 
 
-def points_measured(study: Study) -> int:
-    """Points at which the error that the tolerance is about is measured."""
-    where = study.tolerance.where
-    if where == "workspace":
-        return study.evaluation.cube_points + 2 ** len(study.task.inputs)
-    return count_waypoints(study.evaluation.paths[where])
-
-
 def _over(region_share: float) -> str:
     """What everything is over: the workspace, or the part of it that the arm can use."""
     if region_share == 1:
@@ -164,7 +155,7 @@ def _asked(
     text = _ASKED["proved" if proved else tolerance.of].format(
         limit=_limit(tolerance),
         place=f"the path {tolerance.where}" if path else _over(region_share),
-        points=_points(study),
+        points=_points(study, variants[0].shown),
         along="along" if path else "in",
     )
     if not confidence.n_variants:
@@ -224,12 +215,12 @@ def _failing(study: Study, size: Size, confidence: Confidence) -> str:
 
 def _evidence(study: Study, size: Size) -> str:
     """``certified``, or how it was measured."""
-    return "certified" if size.certified else f"measured at {_points(study)}, not certified"
+    return "certified" if size.certified else f"measured at {_points(study, size)}, not certified"
 
 
-def _points(study: Study) -> str:
+def _points(study: Study, size: Size) -> str:
     word = "point" if study.tolerance.where == "workspace" else "waypoint"
-    return several(points_measured(study), word)
+    return several(size.n_points, word)
 
 
 def _bound(size: Size) -> str:

@@ -177,6 +177,7 @@ def _size(n: int, group: "pd.DataFrame", tolerance: Tolerance, confidence: float
         label=str(group["label"].iloc[0]),
         n_samples=n,
         n_seeds=n_seeds,
+        n_points=int(group["n_points"].iloc[0]),
         n_met=n_met,
         n_undecided=int(undecided.sum()),
         n_certified=int(group["certified"].sum()),
