@@ -169,7 +169,7 @@ def backtest(results: Path) -> pd.DataFrame:
         )
         for variant, own in variants(outcomes(asked, measured)).items():
             n, curves = seen(asked, variant, own)
-            if study.all_methods[variant.method].kind == "analytic" or len(n) < 6:
+            if study.all_methods[variant.method].kind == "nominal" or len(n) < 6:
                 continue
             behaved, curve = shape(n, curves[0]), curves[0]
             for fewer in range(5, len(n)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from iksamples.arm.deviation import deviated
+from iksamples.arm.deviation import deviated, deviated_pose, rotation_of
 from iksamples.arm.load import load_arm
 
 
@@ -43,3 +43,22 @@ def test_without_deviations_it_is_the_drawing():
     arm = deviated(chain, np.zeros((7, 6)))
     np.testing.assert_array_equal(arm.axes, chain.axes)
     np.testing.assert_allclose(arm.tip_mm, chain.tip_mm)
+
+
+@pytest.mark.parametrize("robot", ["scara", "panda"])
+def test_how_the_pose_changes_with_the_deviations(robot):
+    chain = load_arm(f"config/robots/{robot}.urdf")
+    generator = np.random.default_rng(2)
+    rows = generator.normal(size=(chain.n_joints + 1, 6)) * [5, 5, 5, 0.1, 0.1, 0.1]
+    rows[1] = 0  # where a turn is none, its derivative is a limit
+    joints = generator.uniform(-1, 1, (3, chain.n_joints))
+    position, rotation, linear, angular = deviated_pose(chain, rows, joints)
+    arm = deviated(chain, rows)
+    np.testing.assert_allclose(position, arm.forward_mm(joints), atol=1e-9)
+    np.testing.assert_allclose(rotation, arm.rotation(joints), atol=1e-12)
+    for i in range(rows.size):
+        step = 1e-5 * np.eye(rows.size)[i].reshape(rows.shape)
+        ahead, behind = (deviated_pose(chain, rows + sign * step, joints) for sign in (1, -1))
+        np.testing.assert_allclose((ahead[0] - behind[0]) / 2e-5, linear[..., i], atol=1e-5)
+        turned = ahead[1] @ np.swapaxes(rotation_of(2e-5 * angular[..., i]) @ behind[1], -1, -2)
+        np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), turned.shape), atol=1e-9)

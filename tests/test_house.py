@@ -22,6 +22,7 @@ ORDER = [
     "arm",
     "task",
     "samples",
+    "calibration",
     "methods",
     "results",
     "evaluation",

@@ -19,9 +19,9 @@ from iksamples.study import MethodKind, parse_study
 from iksamples.task import study_task
 
 
-FROM_SAMPLES = [kind for kind, one in KINDS.items() if one.fit and one.needs_samples]
 ON_GRIDS = ["multilinear", "cubic", "polynomial"]
 EVERYWHERE = ["rbf", "gaussian-process"]
+THROUGH_SAMPLES = [*ON_GRIDS, *EVERYWHERE]
 
 
 def with_points(samples, positions_mm, joints, label="mine"):
@@ -85,7 +85,7 @@ def test_one_member_the_same_every_time_and_however_many_points(
     np.testing.assert_allclose(again.predict(points[some])[0], answers[0, some], atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", FROM_SAMPLES)
+@pytest.mark.parametrize("kind", THROUGH_SAMPLES)
 @pytest.mark.parametrize("m", [2, 3, 5])
 def test_samples_are_hit_exactly_in_whatever_order_they_come(kind, m, study, task, rng):
     samples = grid_samples(study, task, m)
@@ -97,7 +97,7 @@ def test_samples_are_hit_exactly_in_whatever_order_they_come(kind, m, study, tas
     np.testing.assert_allclose(answer, samples.joints, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("kind", FROM_SAMPLES)
+@pytest.mark.parametrize("kind", THROUGH_SAMPLES)
 def test_joint_values_shift_and_scale_with_the_samples(kind, study, task, rng):
     samples = grid_samples(study, task, 3)
     other = replace(samples, joints=samples.joints * 50 - 7)  # as a prismatic joint's, in mm
@@ -109,8 +109,8 @@ def test_joint_values_shift_and_scale_with_the_samples(kind, study, task, rng):
 # --- what is known about each ----------------------------------------------------------------
 
 
-def test_analytic_is_exact(study, task, chain, region):
-    predictor = fit("analytic", task, grid_samples(study, task, 2))
+def test_the_drawings_inverse_is_exact_on_the_drawing(study, task, chain, region):
+    predictor = fit("nominal", task, grid_samples(study, task, 2))
     assert errors_mm(task, predictor, region).max() < 1e-11
 
 

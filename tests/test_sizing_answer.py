@@ -21,7 +21,7 @@ from iksamples.study import parse_study
 METHODS = {
     "tanh": {"network": {"activation": "tanh"}, "training": {"steps": 32000}},
     "table": {"kind": "multilinear"},
-    "analytic": {"kind": "analytic"},
+    "nominal": {"kind": "nominal"},
 }
 
 
@@ -269,7 +269,7 @@ class TestWords:
                 make_rows({3: met(0), 4: met(0), 5: met(0)}, certified=True),
                 make_rows({3: met(0), 4: met(20, good=1.6), 5: met(20)}, "tanh", certified=True),
                 make_rows({3: [3], 4: [2.1], 5: [1.41]}, "table"),
-                make_rows({3: [0], 4: [0], 5: [0]}, "analytic"),
+                make_rows({3: [0], 4: [0], 5: [0]}, "nominal"),
             ]
         )
         said = answer(study, rows).headline
@@ -366,7 +366,7 @@ class TestWords:
 
     def test_the_exact_inverse_is_not_recommended(self):
         study = make_study(methods=METHODS)
-        rows = pd.concat([make_rows({2: met(0)}), make_rows({2: [0]}, "analytic")])
+        rows = pd.concat([make_rows({2: met(0)}), make_rows({2: [0]}, "nominal")])
         assert answer(study, rows).headline.endswith("the paper's training needs more than 8.")
 
 

@@ -122,7 +122,7 @@ def test_columns_carry_their_unit(task, sliding, tmp_path):
     samples.save(tmp_path / "samples.parquet")
     columns = pd.read_parquet(tmp_path / "samples.parquet").columns
     assert {*inputs, *joints} <= set(columns)
-    exact = fit("analytic", scara, samples)
+    exact = fit("nominal", scara, samples)
     paths = track_paths(sliding.evaluation, scara, exact)
     assert {*(f"target_{name}" for name in inputs), *joints} <= set(paths.columns)
     assert paths["error_mm"].max() < 1e-6

@@ -191,7 +191,7 @@ def compare(
         )
         if not len(first):
             continue
-        with np.errstate(divide="ignore", invalid="ignore"):  # the exact inverse may have none
+        with np.errstate(divide="ignore", invalid="ignore"):  # an exact inverse may have none
             ratio = first / second
         resampled: Floats | list[float] = []
         if len(ratio) >= FEWEST_SEEDS:

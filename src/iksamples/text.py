@@ -14,7 +14,10 @@ _OTHERS = {
     "polynomial": "one polynomial through the same samples",
     "rbf": "a radial-basis interpolation of the same samples",
     "gaussian-process": "a Gaussian process on the same samples",
-    "analytic": "the exact inverse",
+    "nominal": "the drawing's inverse",
+    "calibrated": "the drawing fitted to the same samples",
+    "trigonometric": "sines and cosines fitted to the same samples",
+    "residual": "the drawing's inverse corrected by the same samples",
 }
 _PLACED = {
     "grid": "on an even grid",

@@ -103,7 +103,7 @@ def samples_needed(
         study: The study; of its tolerance all but the number counts.
         rows: Outcomes.
         tolerances_mm: Tolerances [mm]; None: 60, evenly spread in the logarithm from the smallest
-            to the largest tolerance that any size meets (but for the exact inverse).
+            to the largest tolerance that any size meets (but for the drawing's inverse).
 
     Returns:
         By variant and tolerance: method, design, tolerance_mm, n_samples (NaN: no answer), status
@@ -241,7 +241,7 @@ def _spread(study: Study, sizes: Mapping[Variant, list[Size]]) -> Floats:
     bounds = [
         size.tolerance_bound_mm
         for variant, of_variant in sizes.items()
-        if study.all_methods[variant.method].kind != "analytic"
+        if study.all_methods[variant.method].kind != "nominal"
         for size in of_variant
         if size.tolerance_bound_mm > 0 and np.isfinite(size.tolerance_bound_mm)
     ]

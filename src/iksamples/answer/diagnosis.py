@@ -161,7 +161,7 @@ def _others_do_it(
         for other, size in answers.items()
         if other.design == variant.design
         and size.n_samples <= n_samples
-        and study.all_methods[other.method].kind != "analytic"
+        and study.all_methods[other.method].kind != "nominal"
     }
     if not able:
         return None

@@ -29,7 +29,7 @@ _SURE = ", with {sure} that at least {share} of trainings succeed"
 _SURE_OF_BEST = ", with {sure} that the best of {k} trainings succeeds at least {share} of the time"
 _CLAUSES = {
     "answered": "{what} needs {n} ({evidence}: {bound})",
-    "analytic": "{what} needs none",
+    "nominal": "{what} needs none",
     "more-seeds": "for {what}, {trainings} cannot tell ({seeds} might do)",
     "extrapolated": "{what} needs more than {largest} (extrapolated: {n})",
     "open": "{what} needs more than {largest}",
@@ -37,7 +37,7 @@ _CLAUSES = {
 _ANSWERED = {
     "network": "With {samples}, {met}. The required share of trainings is within {bound} "
     "({evidence}).",
-    "analytic": "It needs no samples; its error is {bound} ({evidence}).",
+    "nominal": "It needs no samples; its error is {bound} ({evidence}).",
     "other": "With {samples} the error is {bound} ({evidence}), without chance.",
 }
 _MORE_SEEDS = (
@@ -57,9 +57,9 @@ def headline(
 ) -> str:
     """What is required, the variant that needs fewest samples, and what others need.
 
-    The exact inverse is a reference and recommended to nobody who asks for samples.
+    The drawing's inverse is a reference and recommended to nobody who asks for samples.
     """
-    candidates = [one for one in variants if one.kind != "analytic"] or list(variants)
+    candidates = [one for one in variants if one.kind != "nominal"] or list(variants)
     answered = [one for one in candidates if one.found]
     answered.sort(key=lambda one: (one.n_samples, not one.shown.certified, one.kind != "network"))
     best = answered[:1]
@@ -94,7 +94,7 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
                 evidence=_evidence(study, size),
             )
         )
-        if one.kind != "analytic":
+        if one.kind != "nominal":
             smaller = one.smaller
             fails = _failing(study, smaller, confidence) if smaller else ""
             lines.append(f"One size below fails: {fails}." if fails else "Fewer were not tried.")
@@ -178,7 +178,7 @@ def _confidence(confidence: Confidence) -> str:
 def _clause(study: Study, one: VariantAnswer) -> str:
     """The clause of a variant that is not the best."""
     size = one.shown
-    status = "analytic" if one.found and one.kind == "analytic" else one.status
+    status = "nominal" if one.found and one.kind == "nominal" else one.status
     return _CLAUSES[status].format(
         what=described(study, one.method) + placed(study, one.design),
         n=whole(one.n_samples or 0),

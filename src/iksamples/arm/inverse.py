@@ -234,6 +234,31 @@ def jumps(solution: Solution, shape: Sequence[int]) -> Flags:
     return jumping
 
 
+def followed(solution: Solution, chain: SerialChain) -> Floats:
+    """The joints with which an arm that is nearly the solution's own does the same.
+
+    Newton's method goes on from each label, so the branch is the same. An arm that has too few
+    joints to do what the first one happens to, as a SCARA that leans cannot hold its tool upright,
+    comes as near as it can.
+
+    Args:
+        solution: Labels of some inputs.
+        chain: The other arm, such as a fitted one.
+
+    Returns:
+        Joint values [rad or mm], shape (points, joints); NaN where the first arm, or this one, is
+        out of reach.
+    """
+    joints, there = solution.joints.copy(), solution.in_reach
+    if there.any():
+        home = joints[there].mean(axis=0) if solution.home is None else solution.home
+        follower = Follower(chain, solution.target, home, solution.locked)
+        joints[there] = follower.follow(solution.x[there], joints[there])
+        if follower.rank == len(follower.jacobian_mm(home[None])[0]):
+            joints[~_arrived(chain, solution.target, joints, solution.x)] = np.nan
+    return joints
+
+
 def largest_usable_box(
     usable: ArrayLike, axes: Sequence[ArrayLike]
 ) -> tuple[Floats, Floats] | None:

@@ -35,8 +35,10 @@ def fit(samples: SampleSet) -> Predictor:
     return Single(answer)
 
 
-def regressor(samples: SampleSet) -> "GaussianProcessRegressor":
-    """A Gaussian process without noise, one kernel for all joints, in normalised inputs.
+def regressor(
+    samples: SampleSet, kind: str = "gaussian-process", noisy: bool = False
+) -> "GaussianProcessRegressor":
+    """A Gaussian process, one kernel for all joints, in normalised inputs.
 
     Matern kernel of smoothness 5/2 whose variance and length maximise the marginal likelihood
     (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, sec. 2.2, 4.2.1 and 5.4.1)
@@ -45,19 +47,26 @@ def regressor(samples: SampleSet) -> "GaussianProcessRegressor":
     and the search for its length then ends anywhere. Joints are centred and scaled to unit
     variance.
 
+    Args:
+        samples: The samples.
+        kind: The method that asks, for the message.
+        noisy: Whether joint values have noise, whose variance is a third number to be chosen.
+
     Raises:
         NotApplicableError: There are too many samples for a dense solve.
     """
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-    require_at_most(MOST_SAMPLES, samples, "gaussian-process")
+    require_at_most(MOST_SAMPLES, samples, kind)
     inputs = samples.normalise(samples.x)
     extent = float(np.ptp(inputs, axis=0).max())
     kernel = ConstantKernel(1.0, (1e-3, 1e9)) * Matern(
         extent, (1e-2 * extent, 1e3 * extent), nu=2.5
     )
+    if noisy:
+        kernel = kernel + WhiteKernel(1e-2, (JITTER, 1e1))
     some = np.arange(len(inputs))
     if len(inputs) > MOST_TO_TUNE:
         some = np.random.default_rng(0).choice(len(inputs), MOST_TO_TUNE, replace=False)

@@ -4,7 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from iksamples.errors import IksamplesError
-from iksamples.methods import analytic, cubic, gaussian_process, multilinear, polynomial, rbf
+from iksamples.methods import (
+    calibrated,
+    cubic,
+    gaussian_process,
+    multilinear,
+    nominal,
+    polynomial,
+    rbf,
+    residual,
+    trigonometric,
+)
 from iksamples.methods.predictor import Predictor
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
@@ -36,7 +46,10 @@ KINDS: dict[str, Kind] = {
     "polynomial": Kind(lambda _, s: polynomial.fit(s), needs_grid=True),
     "rbf": Kind(lambda _, s: rbf.fit(s)),
     "gaussian-process": Kind(lambda _, s: gaussian_process.fit(s)),
-    "analytic": Kind(lambda task, _: analytic.fit(task), needs_samples=False),
+    "nominal": Kind(lambda task, _: nominal.fit(task), needs_samples=False),
+    "calibrated": Kind(calibrated.fit),
+    "trigonometric": Kind(trigonometric.fit),
+    "residual": Kind(residual.fit),
 }
 """Kind of method (``study.MethodKind``) -> what it is."""
 

@@ -63,7 +63,7 @@ class ReportData:
 
     @cached_property
     def compared(self) -> pd.DataFrame:
-        """The rows of ``workspace`` that learn from samples: all but the exact inverse's."""
+        """The rows of ``workspace`` that learn from samples: all but the drawing's inverse's."""
         return self.workspace[self.workspace["method"].map(self.learns)]
 
     @cached_property

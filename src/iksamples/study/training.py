@@ -148,7 +148,16 @@ class Training(Section):
 
 
 MethodKind = Literal[
-    "network", "multilinear", "cubic", "polynomial", "rbf", "gaussian-process", "analytic"
+    "network",
+    "multilinear",
+    "cubic",
+    "polynomial",
+    "rbf",
+    "gaussian-process",
+    "nominal",
+    "calibrated",
+    "trigonometric",
+    "residual",
 ]
 
 
@@ -158,7 +167,9 @@ class Method(Section):
     kind: MethodKind = Field(
         "network",
         description="A network, an interpolation of the same samples (multilinear, cubic and "
-        "polynomial need a full grid), or the exact inverse.",
+        "polynomial need a full grid), the drawing's inverse as it is (nominal), of the drawing "
+        "fitted to the samples (calibrated) or corrected by a Gaussian process (residual), or a "
+        "model that only knows that joints turn (trigonometric).",
     )
     network: Network = Field(
         Network(), description="What differs from the study's `network` (kind: network)."
