@@ -30,6 +30,7 @@ ORDER = [
     "training",
     "certify",
     "answer",
+    "recorded",
     "paper",
     "plan",
     "report",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from iksamples.errors import IksamplesError
 from iksamples.samples.measured import read_samples
 from iksamples.samples.record import grid_samples, record_samples
-from iksamples.samples.recorded import read_table
+from iksamples.samples.table import read_table
 from iksamples.study import parse_study
 from iksamples.task import study_task
 

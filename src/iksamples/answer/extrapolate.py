@@ -25,7 +25,7 @@ from iksamples.answer.collect import Variant
 from iksamples.answer.curves import fit_power
 from iksamples.answer.sizes import is_random, required_share
 from iksamples.stats import FEWEST_SEEDS, LEVEL, Draws, Floats, Interval, draws, share_quantile
-from iksamples.study import TENSOR, Study
+from iksamples.study import RECORDED, TENSOR, Study
 
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def forecast(study: Study, variant: Variant, n_samples: Floats, curves: Floats) 
     """
     largest = float(n_samples[-1])
     by_chance = is_random(study, variant.method)
-    if variant.design not in TENSOR:
+    if variant.design not in (*TENSOR, RECORDED):
         reason = "the error between scattered samples falls in leaps"
     elif by_chance and study.all_methods[variant.method].training.optimizer != "adam":
         reason = (

@@ -44,8 +44,9 @@ class Trials(NamedTuple):
 
 
 def is_random(study: Study, method: str) -> bool:
-    """Whether chance has a part in a method: a network's seed, and nothing in the others."""
-    return KINDS[study.all_methods[method].kind].stochastic
+    """Whether chance has a part in a method: a network's seed, or which records it was given."""
+    kind = KINDS[study.all_methods[method].kind]
+    return kind.stochastic or (study.samples.recorded is not None and kind.needs_samples)
 
 
 def by_size(rows: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":

@@ -2,9 +2,10 @@
 
 import re
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_set
-from iksamples.samples.recorded import Table, read_table
+from iksamples.samples.table import Table, read_table
 from iksamples.study import Study
 from iksamples.task import Task
 
@@ -34,9 +35,16 @@ _NO_FIT, _FIT = 0.25, 0.05
 _NAMED_ROWS = 5
 
 
-@dataclass(frozen=True)
-class _Column:
-    """A wanted column: its documented name, the unit here, and where it was found in what unit."""
+class Place(NamedTuple):
+    """A wanted column: its name without a unit, the unit here, and what a file may call it."""
+
+    wanted: str
+    unit: str
+    called: Sequence[str]
+
+
+class Column(NamedTuple):
+    """A column found: its documented name, the unit here, and where it is in what unit."""
 
     wanted: str
     unit: str
@@ -59,7 +67,7 @@ def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
     Args:
         study: The study; its fresh points check the training.
         task: Its task.
-        path: The file (``samples.recorded.read_table``).
+        path: The file (``samples.table.read_table``).
 
     Raises:
         IksamplesError: The file cannot be read, lacks a column, holds something that is not a
@@ -74,7 +82,11 @@ def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
             )
         return samples
     table = read_table(path)
-    columns, table = _columns(table, task)
+    places = [
+        Place(name, unit, [name]) for name, unit in zip(task.x.names, task.x.units, strict=True)
+    ]
+    places += joint_places(task.q.names, task.q.units, task.x.names)
+    columns, table = find_columns(table, places)
     values = table.numbers([column.at for column in columns])
     if len(values) < 2:
         raise IksamplesError(f"{path}: {len(values)} samples; at least 2 are needed.")
@@ -106,19 +118,18 @@ def _is_ours(path: Path) -> bool:
         return False
 
 
-def _columns(table: Table, task: Task) -> tuple[list[_Column], Table]:
-    """Where each wanted column is and in what unit; and the table without its row of units."""
-    names = [_name_and_unit(name) for name in table.names]
+def find_columns(table: Table, places: Sequence[Place]) -> tuple[list[Column], Table]:
+    """Where each wanted column is and in what unit; and the table without its row of units.
+
+    Raises:
+        IksamplesError: One is missing, stands twice, or is said to be in a unit of another kind.
+    """
+    names = [name_and_unit(name) for name in table.names]
     below = [str(cell or "").strip().strip("[]()").lower() for cell in table.rows[0]]
     known = {unit for units in UNITS.values() for unit in units}
     if set(below) - {"", "-"} and set(below) <= known | {"", "-"}:
         names = [(name, said or unit) for (name, said), unit in zip(names, below, strict=True)]
         table = Table(table.path, table.names, table.rows[1:], table.lines[1:])
-    places = [(name, unit, [name]) for name, unit in zip(task.x.names, task.x.units, strict=True)]
-    for i, (name, unit) in enumerate(zip(task.q.names, task.q.units, strict=True), 1):
-        own = _plain(name)
-        called = [f"q_{own}", f"q{i}", f"q_{i}", *([own] if own not in task.x.names else [])]
-        places.append((f"q_{name}", unit, called))
     found, missing = [], []
     for wanted, unit, called in places:
         at = [i for i, (name, _) in enumerate(names) if name in called]
@@ -134,7 +145,7 @@ def _columns(table: Table, task: Task) -> tuple[list[_Column], Table]:
                 f"{table.path}: {table.names[at[0]]}: {said} is no unit of {wanted}; "
                 f"it is measured in {', '.join(UNITS[unit])}."
             )
-        found.append(_Column(f"{wanted}_{unit}", unit, at[0], said))
+        found.append(Column(f"{wanted}_{unit}", unit, at[0], said))
     if missing:
         raise IksamplesError(
             f"{table.path}: no column {', '.join(missing)}; there are "
@@ -143,7 +154,17 @@ def _columns(table: Table, task: Task) -> tuple[list[_Column], Table]:
     return found, table
 
 
-def _name_and_unit(name: str) -> tuple[str, str]:
+def joint_places(names: Sequence[str], units: Sequence[str], inputs: Sequence[str]) -> list[Place]:
+    """The columns of some joints: ``q_<joint>``, ``q<number>``, or the joint's own name."""
+    places = []
+    for i, (name, unit) in enumerate(zip(names, units, strict=True), 1):
+        own = plain(name)
+        called = [f"q_{own}", f"q{i}", f"q_{i}", *([own] if own not in inputs else [])]
+        places.append(Place(f"q_{name}", unit, called))
+    return places
+
+
+def name_and_unit(name: str) -> tuple[str, str]:
     """A name in lower case, and the unit in it, if any: ``x_mm``, ``x [mm]``, ``x (mm)``."""
     match = re.fullmatch(
         r"(.*?)[\s_/]*[\[(]\s*(\S+)\s*[\])]|(.*)[\s_/](\S+?)", name.strip().lower()
@@ -151,15 +172,16 @@ def _name_and_unit(name: str) -> tuple[str, str]:
     if match:
         base, unit = match[1] or match[3] or "", match[2] or match[4]
         if base and any(unit in units for units in UNITS.values()):
-            return _plain(base), unit
-    return _plain(name), ""
+            return plain(base), unit
+    return plain(name), ""
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A name in lower case, its words joined by underscores."""
     return re.sub(r"[\s_-]+", "_", name.strip().lower())
 
 
-def _factors(table: Table, task: Task, columns: list[_Column], values: Floats) -> Floats:
+def _factors(table: Table, task: Task, columns: list[Column], values: Floats) -> Floats:
     """What each column is multiplied by: as its name says, else as the arm's model says.
 
     Raises:
@@ -209,7 +231,7 @@ def _miss(task: Task, values: Floats) -> float:
     return float(np.median(missed) / spread)
 
 
-def _listed(columns: list[_Column], units: list[str]) -> str:
+def _listed(columns: list[Column], units: list[str]) -> str:
     return ", ".join(
         c.wanted.rsplit("_", 1)[0] for c in columns if c.said is None and c.unit in units
     )

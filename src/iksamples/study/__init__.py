@@ -22,8 +22,9 @@ from iksamples.study.paths import (
 )
 from iksamples.study.reading import parse_study, read_study
 from iksamples.study.readings import Readings
+from iksamples.study.recorded import Recorded
 from iksamples.study.robot import POSITIONS, Asked, Coordinate, Robot, Workspace
-from iksamples.study.samples import DRAWN, TENSOR, Design, Samples
+from iksamples.study.samples import DRAWN, RECORDED, TENSOR, Design, Samples
 from iksamples.study.section import Limits, Section, Vector3
 from iksamples.study.study import NETWORK, Study, Tracking
 from iksamples.study.training import EarlyStopping, HeldOut, Method, MethodKind, Network, Training
@@ -33,6 +34,7 @@ __all__ = [
     "DRAWN",
     "NETWORK",
     "POSITIONS",
+    "RECORDED",
     "TENSOR",
     "AnyPath",
     "Asked",
@@ -53,6 +55,7 @@ __all__ = [
     "MethodKind",
     "Network",
     "Readings",
+    "Recorded",
     "Replication",
     "Robot",
     "Samples",

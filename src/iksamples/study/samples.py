@@ -1,14 +1,17 @@
 """Which points are recorded."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from iksamples.study.recorded import Recorded
 from iksamples.study.section import Section
 
 
-Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive"]
+Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive", "recorded"]
+RECORDED: Design = "recorded"
+"""The design of samples that are not placed but come from a file."""
 TENSOR: tuple[Design, ...] = ("grid", "chebyshev")
 """Designs that are a grid of m1 x .. x md points, evenly spaced or not."""
 DRAWN: tuple[Design, ...] = ("sobol", "latin", "uniform", "joints")
@@ -22,8 +25,9 @@ class Samples(Section):
         ["grid"],
         min_length=1,
         description="How the points are placed: an even grid, Chebyshev nodes, Sobol points, a "
-        "Latin hypercube, uniformly in the workspace, uniformly in joint space, or step by step "
-        "where networks trained so far disagree. The first design fills the table and the report.",
+        "Latin hypercube, uniformly in the workspace, uniformly in joint space, step by step where "
+        "networks trained so far disagree, or as they were recorded (`samples.recorded`). The "
+        "first design fills the table and the report.",
     )
     points_per_axis: list[Annotated[int, Field(ge=2, le=32)]] = Field(
         [2, 3, 4, 5, 6, 7, 8],
@@ -49,6 +53,26 @@ class Samples(Section):
     seed: int = Field(
         0, ge=0, lt=2**31, description="Seed of the random designs and of the fresh points."
     )
+    recorded: Recorded | None = Field(
+        None, description="Samples that were recorded, in place of computed ones; null: none."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _recorded_is_a_design(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("recorded"):
+            return {"designs": [RECORDED], **data}
+        return data
+
+    @model_validator(mode="after")
+    def _recorded_alone(self) -> "Samples":
+        if (self.designs == [RECORDED]) != bool(self.recorded) or (
+            RECORDED in self.designs and len(self.designs) > 1
+        ):
+            raise ValueError(
+                "designs: 'recorded' stands alone, and where 'samples.recorded' names a file"
+            )
+        return self
 
     @model_validator(mode="after")
     def _some_size(self) -> "Samples":

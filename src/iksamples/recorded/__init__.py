@@ -1,0 +1,1 @@
+"""Samples from files: anybody's learning curve, recordings of real arms, and what they say."""

@@ -1,0 +1,103 @@
+"""A learning curve from anybody: a table of (n, seed, error), sized as our own runs are."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from iksamples.answer.collect import WORKSPACE
+from iksamples.columns import ERRORS, RUNS
+from iksamples.errors import IksamplesError
+from iksamples.samples.measured import UNITS, Place, find_columns, name_and_unit
+from iksamples.samples.table import Table, read_table
+from iksamples.study import NETWORK, RECORDED
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_N = ("n", "n_samples", "samples", "n_train", "size")
+_SEED = ("seed", "run", "trial", "repeat")
+_INFINITE = ("inf", "+inf", "infinity")
+
+
+def runs_table(records: Iterable[dict[str, Any]]) -> "pd.DataFrame":
+    """Records as the table that ``answer.collect`` makes of a study; what they lack is empty."""
+    import pandas as pd
+
+    plain = {"design": RECORDED, "diverged": False, "region": WORKSPACE, "region_share": 1.0}
+    table = pd.DataFrame([plain | {"verified": False} | one for one in records])
+    table = table.reindex(columns=list(RUNS))
+    table["label"] = RECORDED + table["n_samples"].astype(str)
+    table["n_trained"] = table["n_trained"].fillna(table["n_samples"]).astype("int64")
+    return table
+
+
+def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
+    """Reads a learning curve: a row per training, with columns n, seed and error.
+
+    The error's unit stands in its name (``error_mm``, ``error_m``, ``error [deg]``) or in a row
+    below the names; one without a unit is taken as it is. ``inf`` is a training that failed.
+
+    Args:
+        path: The file (``samples.table.read_table``).
+
+    Returns:
+        A table as ``runs_table``'s, its errors in the unit; and that unit: mm, deg, or nothing.
+
+    Raises:
+        IksamplesError: A column is missing or twice, a row is no training, or stands twice.
+    """
+    table, kind = read_table(path), _kind(read_table(path))
+    # An angle is found in radians and told in degrees.
+    unit = {"rad": "deg"}.get(kind, kind)
+    places = [Place("n", "", _N), Place("seed", "", _SEED), Place("error", kind, ["error"])]
+    columns, table = find_columns(table, places)
+    at = [column.at for column in columns]
+    failed = [str(row[at[2]]).strip().lower() in _INFINITE for row in table.rows]
+    rows = [
+        [0 if lost and i == at[2] else cell for i, cell in enumerate(row)]
+        for row, lost in zip(table.rows, failed, strict=True)
+    ]
+    n, seed, error = Table(table.path, table.names, rows, table.lines).numbers(at).T
+    if columns[2].said:
+        error = error * UNITS[kind][columns[2].said]
+    error = np.where(failed, np.inf, np.degrees(error) if unit == "deg" else error)
+    for fault, wrong in {
+        "is no number of samples": (n < 0) | (n != np.round(n)) | (n > 2**53),
+        "is no whole seed": (seed != np.round(seed)) | (np.abs(seed) > 2**53),
+        "has an error below zero": error < 0,
+    }.items():
+        if wrong.any():
+            raise IksamplesError(f"{path}: {table.place(int(np.argmax(wrong)))} {fault}.")
+    seen: dict[tuple[float, float], int] = {}
+    for i, pair in enumerate(zip(n, seed, strict=True)):
+        if pair in seen:
+            raise IksamplesError(
+                f"{path}: {table.place(i)} has the n and the seed of {table.place(seen[pair])}; "
+                "a seed is one training of each size."
+            )
+        seen[pair] = i
+    return runs_table(
+        {
+            "method": NETWORK,
+            "n_samples": int(size),
+            "seed": int(one),
+            "n_points": 0,
+            "diverged": not np.isfinite(value),
+            **dict.fromkeys(ERRORS, float(value)),
+        }
+        for size, one, value in zip(n, seed, error, strict=True)
+    ), unit
+
+
+def _kind(table: Table) -> str:
+    """Unit here of the error: mm, rad, or nothing where none is said in its name or below it."""
+    below = dict(zip(table.names, table.rows[0], strict=True))
+    for name in table.names:
+        plain, said = name_and_unit(name)
+        said = said or str(below[name] or "").strip().strip("[]()").lower()
+        if plain == "error":
+            return next((unit for unit, known in UNITS.items() if said in known), "")
+    return ""

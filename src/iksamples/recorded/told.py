@@ -1,0 +1,113 @@
+"""What a learning curve says, in lines for a terminal: answer, sizes, and what comes next."""
+
+import math
+from collections.abc import Callable
+
+from iksamples.answer.answer import Size, VariantAnswer
+from iksamples.study import Tolerance
+from iksamples.text import percent, percent_down, several, whole
+
+
+_HEAD = ("n", "runs", "within", "at least", "best", "median", "worst", "bound")
+
+
+def verdict(one: VariantAnswer, runs: str) -> str:
+    """How many samples one method needs, in a sentence.
+
+    Args:
+        one: Its answer.
+        runs: What there are several of at each size, such as ``runs``.
+    """
+    largest = whole(one.sizes[-1].n_samples)
+    if one.found:
+        below = one.smaller
+        less = f"; {whole(below.n_samples)} do not" if below else "; fewer were not tried"
+        return f"{several(one.found.n_samples, 'sample')} will do{less}."
+    if one.status == "more-seeds":
+        return (
+            f"at {largest} samples more {runs} are within than have to be, but too few to be sure; "
+            f"{several(one.seeds_needed or 0, runs.removesuffix('s'))} would tell, all of them new."
+        )
+    return f"more than {largest} samples."
+
+
+def asked(tolerance: Tolerance, unit: str, runs: str) -> str:
+    """What is required: ``at least 80 % of runs within 2 mm, with 95 % confidence``."""
+    who = runs if tolerance.best_of == 1 else f"times that {tolerance.best_of} {runs} are made"
+    return (
+        f"at least {percent(tolerance.success_share)} of {who} within "
+        f"{quantity(tolerance.error_mm, unit)}, with {percent(tolerance.confidence)} confidence"
+    )
+
+
+def sizes_table(sizes: list[Size], unit: str, judged: bool) -> list[str]:
+    """A line for each size, below one of names.
+
+    Args:
+        sizes: Sizes, fewest samples first.
+        unit: Unit of the errors; empty: none is known.
+        judged: Whether there is a tolerance that they were held against.
+    """
+    in_unit = f" [{unit}]" if unit else ""
+    head = [f"{name}{in_unit}" if name in _HEAD[4:] else name for name in _HEAD]
+    rows = [head]
+    for size in sizes:
+        lower = size.success_rate_lcb
+        errors = size.error_best_mm, size.error_median_mm, size.error_worst_mm
+        rows.append(
+            [
+                whole(size.n_samples),
+                whole(size.n_seeds),
+                whole(size.n_met),
+                "" if lower is None else percent_down(lower),
+                *(number(value) for value in errors),
+                number(size.tolerance_bound_mm, math.ceil),
+            ]
+        )
+    kept = [i for i in range(len(_HEAD)) if judged or i not in (2, 3)]
+    widths = [max(len(row[i]) for row in rows) for i in kept]
+    return [
+        "  " + "  ".join(row[i].rjust(wide) for i, wide in zip(kept, widths, strict=True))
+        for row in rows
+    ]
+
+
+def beyond(one: VariantAnswer) -> list[str]:
+    """How the learning curve looks, and what it says beyond the sizes there are."""
+    lines = []
+    if one.curve:
+        slowly = ", ever more slowly" if one.curve.convex else ", but not ever more slowly"
+        lines.append(
+            f"Learning curve: it falls from each size to the next{slowly}."
+            if one.curve.monotone
+            else "Learning curve: a larger size has a larger error than a smaller one."
+        )
+    if one.found:
+        lines.append("Next: nothing more has to be recorded.")
+    elif one.extrapolation:
+        far = one.extrapolation
+        n = whole(far.record_next)
+        lines.append(
+            f"Extrapolated, not tried: between {whole(math.floor(far.needed.low))} and "
+            f"{whole(math.ceil(far.needed.high))} samples, if it goes on as it has. Next: record "
+            f"until there are {n}, and ask again."
+            if far.needed
+            else f"Not extrapolated: {far.reason}. Next: record until there are {n}, and ask again."
+        )
+    return lines
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number as its author wrote it, with its unit."""
+    return f"{value:g} {unit}".rstrip()
+
+
+def number(value: float, way: Callable[[float], float] = round) -> str:
+    """A number with three figures."""
+    if not math.isfinite(value):
+        return "none"
+    if value == 0:
+        return "0"
+    step = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
+    # What is a whole number of steps but for rounding stays where it is.
+    return f"{way(round(value / step, 6)) * step:.3g}"
