@@ -222,7 +222,7 @@ class Bench:
             print(f"  errors: {name}, {count} seeds, {epochs} epochs", flush=True)
             _, parameters = getattr(self.peers, WAYS[name].function)(problem, epochs)
             found = self.peers.errors_mm(
-                problem, self._samples[3], self.task.arm, self.points, parameters
+                problem, self._samples[3], self.task.drawing, self.points, parameters
             )
             errors[name] = count, float(np.mean(found)), float(np.std(found, ddof=1) / count**0.5)
         return errors

@@ -110,15 +110,15 @@ def test_the_worst_case_of_the_papers_table_is_the_known_one(m, known, study, ta
     samples = grid_samples(study, task, m)
     axes = [np.unique(x) for x in samples.x.T]
     table = Table(tuple(axes), samples.joints.reshape(m, m, m, 3))
-    [found] = certify_stack(table, task.arm, task.region, rtol=1e-2, keep_leaves=True)
+    [found] = certify_stack(table, task.drawing, task.region, rtol=1e-2, keep_leaves=True)
     assert found.complete
     assert found.upper <= 1.0101 * found.lower
     assert found.lower == pytest.approx(known, rel=0.012)
-    assert check(found, table, 0, task.arm, task.region).verified
+    assert check(found, table, 0, task.drawing, task.region).verified
     if m == 3:
         box = list(zip(task.x.lower, task.x.upper, strict=True))
         best = differential_evolution(
-            lambda x: -errors(table, task.arm, x.T.reshape(-1, 3)), box, vectorized=True,
+            lambda x: -errors(table, task.drawing, x.T.reshape(-1, 3)), box, vectorized=True,
             updating="deferred", popsize=20, maxiter=60, rng=1, tol=1e-6,
         )  # fmt: skip
         assert found.lower * (1 - 1e-2) <= -best.fun <= found.upper
@@ -145,7 +145,7 @@ def test_bounds_close_on_the_error_as_the_cube_of_the_box(study, task):
     samples = grid_samples(study, task, 4)
     axis = [np.unique(x) for x in samples.x.T]
     errors_over = ErrorOverBoxes(
-        Table(tuple(axis), samples.joints.reshape(4, 4, 4, 3)), task.arm, task.region
+        Table(tuple(axis), samples.joints.reshape(4, 4, 4, 3)), task.drawing, task.region
     )
     cells = errors_over.region
     centre = cells.lower + 0.4 * (cells.upper - cells.lower)

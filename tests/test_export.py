@@ -179,7 +179,7 @@ def test_onnx_c_and_here_answer_the_same(
     # What is run in float32 keeps to what is proved and allowed for.
     bound = certificate["position_error"]["upper_mm"] + certificate["position_error"]["float32_mm"]
     q = found.astype(float) / asked
-    tips = plain_tip(task.arm, q)
+    tips = plain_tip(task.drawing, q)
     assert np.linalg.norm(tips - points, axis=1).max() <= bound + 1e-3
 
 
@@ -196,12 +196,12 @@ def test_the_file_is_certified_as_the_study_was(results, tmp_path):
     choice.network.save(tmp_path / "one.safetensors")
     rtol = choice.study.bounds.sup_rtol
     ours = load_network(tmp_path / "one.safetensors", (3, 3))
-    [direct] = prove(ours, task.arm, task.region, task.target, rtol=rtol)["position"]
+    [direct] = prove(ours, task.drawing, task.region, task.target, rtol=rtol)["position"]
     read = load_network(
         written, (3, 3), fed=fed_as(["mm"] * 3, "m", None, None),
         read=read_as(["revolute"] * 3, ["deg"], None, None),
     )  # fmt: skip
-    [again] = prove(read, task.arm, task.region, task.target, rtol=rtol)["position"]
+    [again] = prove(read, task.drawing, task.region, task.target, rtol=rtol)["position"]
     for bound in (direct.upper, again.upper):
         assert certificate["position_error"]["upper_mm"] == pytest.approx(bound, rel=1e-5)
 
@@ -226,12 +226,14 @@ def test_a_task_that_turns_the_tool_has_its_angle_certified_too(rng, tmp_path):
     points = points_in(rng, task.x.lower, task.x.upper, 500)
     joints = run_onnx(tmp_path / "out" / "ik.onnx", points).astype(float)
     angle = certificate["angle_error"]
-    away = np.degrees(turned_away(task.arm, task.target, joints, points))
+    away = np.degrees(turned_away(task.drawing, task.target, joints, points))
     assert 0.9 * angle["lower_deg"] < away.max() <= angle["upper_deg"] + angle["float32_deg"]
     most = np.array([angle["argmax"]])
-    [away] = np.degrees(turned_away(task.arm, task.target, choice.network.predict(most)[0], most))
+    [away] = np.degrees(
+        turned_away(task.drawing, task.target, choice.network.predict(most)[0], most)
+    )
     assert away == pytest.approx(angle["lower_deg"], abs=1e-3)
-    off = np.linalg.norm(plain_tip(task.arm, joints)[:, :2] - points[:, :2], axis=1)
+    off = np.linalg.norm(plain_tip(task.drawing, joints)[:, :2] - points[:, :2], axis=1)
     position = certificate["position_error"]
     assert off.max() <= position["upper_mm"] + position["float32_mm"]
     assert certificate["task"]["inputs"] == ["x", "y", "yaw"]

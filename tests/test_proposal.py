@@ -89,7 +89,7 @@ def test_the_worst_strategy_proposes_the_worst_point_of_each_tile(study, task, r
     dense = BOX[0] + 60 * rng.random((30_000, 3))
 
     def error_mm(points):
-        return np.linalg.norm(task.arm.forward_mm(network.predict(points)[0]) - points, axis=-1)
+        return np.linalg.norm(task.drawing.forward_mm(network.predict(points)[0]) - points, axis=-1)
 
     # Five positions are taken from 3 x 3 x 3 tiles of 20 mm; a point on a face is in several.
     for position in positions:
@@ -231,6 +231,6 @@ def test_next_poses_of_another_arm_carry_their_units(strategy):
     assert list(table.columns) == [*inputs, *joints, "disagreement_mm", "error_mm"]
     x = table[inputs].to_numpy()
     assert task.region.contains(x).all()
-    reached = task.arm.forward_mm(table[joints].to_numpy())
+    reached = task.drawing.forward_mm(table[joints].to_numpy())
     np.testing.assert_allclose(reached, x[:, :3], atol=1e-6)
     assert (table["error_mm"] > 0).all()

@@ -89,7 +89,12 @@ def networks(study: Study) -> list[str]:
 
 
 def certified(study: Study) -> list[str]:
-    """Names of the study's methods whose worst case can be proved."""
+    """Names of the study's methods whose worst case can be proved.
+
+    There is none where arms give way: a proof is about a rigid chain.
+    """
+    if study.arm and not study.arm.is_chain:
+        return []
     return [name for name, method in study.all_methods.items() if KINDS[method.kind].certifiable]
 
 

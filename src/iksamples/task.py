@@ -6,22 +6,27 @@ joints and no unit.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain, Unit, roll_pitch_yaw
+from iksamples.arm.deviation import deviated
 from iksamples.arm.inverse import Solution, jumps, solve
 from iksamples.arm.load import load_arm
+from iksamples.arm.real import RealArm
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
-from iksamples.study import Asked, Robot, Study
+from iksamples.study import Arm, Asked, Expected, Robot, Study
 
 
 T = TypeVar("T")
 
+_LINKS, _PLAY = 10, 11
+"""Streams of an arm's generator, beside the seed."""
 _LATTICE_POINTS = 36_000
 """Points, about, at which a workspace is tried: 33 along each of three sides."""
 _MOST_CELLS = 32
@@ -72,26 +77,34 @@ class Task:
         x: The inputs; its limits are the workspace's.
         q: The joints, with the drawing's limits.
         target: What an input asks of the tool.
-        drawing: The nominal arm, which labels the samples and which methods may use.
-        arm: The arm itself, on which errors are measured.
+        drawing: The nominal arm, which methods may use.
         region: The usable part of the workspace: the one domain of sampling, of evaluation and of
             certificates.
-        reach: Joint values on the study's branch for inputs of shape (points, d), and whether the
-            arm can use them.
+        reach: The drawing's joint values on the study's branch for inputs of shape (points, d),
+            and whether they can be used.
+        arm_of: The arm itself of a seed, on which errors are measured: the drawing, or in a study
+            with an ``arm`` section one that differs from it.
+        expected: What may be expected of that difference; None: there is none.
     """
 
     x: Space
     q: Space
     target: Target
     drawing: SerialChain
-    arm: SerialChain
     region: Region
     reach: Callable[[ArrayLike], Solution]
+    arm_of: Callable[[int], SerialChain | RealArm]
+    expected: Expected | None = None
 
     @property
     def region_share(self) -> float:
         """The region's share of the workspace's volume."""
         return self.region.volume / float(np.prod(self.x.upper - self.x.lower))
+
+    def chain_of(self, seed: int) -> SerialChain:
+        """The links of a seed's arm, as they are."""
+        arm = self.arm_of(seed)
+        return arm.chain if isinstance(arm, RealArm) else arm
 
     def positions_mm(self, x: ArrayLike) -> Floats:
         """Where inputs want the tool, to be drawn [mm], shape (..., 3)."""
@@ -134,7 +147,32 @@ def study_task(study: Study, region: Region | None = None) -> Task:
 
     if region is None and study.samples.unreachable == "mask":
         region = usable_region(x, label)
-    return Task(x, q, target, chain, chain, region or Region.box(x.lower, x.upper), label)
+    region = region or Region.box(x.lower, x.upper)
+    if study.arm is None:
+        return Task(x, q, target, chain, region, label, lambda _: chain)
+    return Task(x, q, target, chain, region, label, _arms(study.arm, chain), study.arm.expectation)
+
+
+def _arms(settings: Arm, drawing: SerialChain) -> Callable[[int], SerialChain | RealArm]:
+    """The simulated arms by their seed, each drawn from a generator of its own."""
+    spread = np.repeat([settings.deviation_mm, settings.deviation_rad], 3)
+
+    @cache
+    def arm(seed: int) -> SerialChain | RealArm:
+        generator = np.random.default_rng([seed, _LINKS])
+        chain = deviated(drawing, spread * generator.standard_normal((drawing.n_joints + 1, 6)))
+        if settings.is_chain:
+            return chain
+        return RealArm(
+            chain,
+            settings.payload_kg,
+            settings.stiffness_nm_per_rad or np.inf,
+            settings.backlash_rad,
+            settings.encoder_step_rad,
+            (seed, _PLAY),
+        )
+
+    return arm
 
 
 def study_chain(study: Study) -> SerialChain:

@@ -114,6 +114,7 @@ rule replicate:
         study="results/{study}/study.json",
         settings=settings(
             "robot",
+            "arm",
             "task",
             "workspace",
             "training",

@@ -48,7 +48,7 @@ rule prove:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "task", "workspace"),
+        settings=settings("robot", "arm", "task", "workspace"),
         tightness=settings(bounds={"sup_rtol", "mean_rtol", "mean_atol_mm"}),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
@@ -82,7 +82,9 @@ rule map:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "task", "workspace", "evaluation", "tolerance"),
+        settings=settings(
+            "robot", "arm", "task", "workspace", "evaluation", "tolerance"
+        ),
         code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
         results=results_folder,
     shell:

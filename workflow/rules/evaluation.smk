@@ -33,7 +33,7 @@ rule evaluate:
         study="results/{study}/study.json",
         arm=ARM,
         waypoints=WAYPOINTS,
-        settings=settings("robot", "task", "workspace", "evaluation"),
+        settings=settings("robot", "arm", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.evaluation.step"),
         results=results_folder,
     shell:
@@ -65,7 +65,7 @@ if UNTRAINED:
             study="results/{study}/study.json",
             arm=ARM,
             waypoints=WAYPOINTS,
-            settings=settings("robot", "task", "workspace", "evaluation"),
+            settings=settings("robot", "arm", "task", "workspace", "evaluation"),
             kinds=UNTRAINED,
             code=source_digest("iksamples.evaluation.step"),
             methods=[f"--method={name}" for name in UNTRAINED],

@@ -19,7 +19,9 @@ rule record:
             samples=FIRST_LABELS,
             table=["training_bound", "unsafe"],
         ),
-        certificates="results/{study}/network/certificates.csv",
+        certificates=(
+            "results/{study}/network/certificates.csv" if certified(STUDY) else []
+        ),
     output:
         "results/{study}/recordings/{path}.rrd",
     log:
@@ -29,7 +31,7 @@ rule record:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "task", "workspace", "evaluation"),
+        settings=settings("robot", "arm", "task", "workspace", "evaluation"),
         code=source_digest("iksamples.recording.record"),
         results=results_folder,
     shell:

@@ -19,7 +19,8 @@ rule samples:
     params:
         study="results/{study}/study.json",
         arm=ARM,
-        settings=settings("robot", "task", "workspace", "samples"),
+        settings=settings("robot", "arm", "task", "workspace", "samples"),
+        arms=list(STUDY.arms),
         held_out=settings(training={"held_out"}),
         # What an adaptive set depends on besides: the networks that choose its points.
         guides=settings("network", "training") if ADAPTIVE else None,

@@ -58,7 +58,7 @@ def next_poses(
     network = finite(network)
     columns: dict[str, Floats] = dict(zip(task.x.columns(), positions.T, strict=True))
     columns |= dict(zip(task.q.columns("q_"), joints.T, strict=True))
-    columns["disagreement_mm"] = disagreement_mm(network, task.arm, positions)
+    columns["disagreement_mm"] = disagreement_mm(network, task.drawing, positions)
     columns["error_mm"] = largest_error_mm(network, task, positions)
     return pd.DataFrame(columns)
 

@@ -75,7 +75,7 @@ def propose(
                 "use the strategy 'worst'."
             )
         points = region_points(task.region, wanted)
-        weights = disagreement_mm(network, task.arm, points)
+        weights = disagreement_mm(network, task.drawing, points)
         return spread(points * mm, weights, samples.x * mm, k) / mm
     points = _worst_points(task, network, k)
     weights = largest_error_mm(network, task, points)
@@ -205,7 +205,7 @@ def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:
         corner = np.array(tile)
         certificates = certify_stack(
             some,
-            task.arm,
+            task.drawing,
             Region.box(edges[corner, axes], edges[corner + 1, axes]),
             rtol=_RTOL,
             max_boxes=_MAX_BOXES,

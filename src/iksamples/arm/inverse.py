@@ -234,7 +234,9 @@ def jumps(solution: Solution, shape: Sequence[int]) -> Flags:
     return jumping
 
 
-def followed(solution: Solution, chain: SerialChain) -> Floats:
+def followed(
+    solution: Solution, chain: SerialChain, pose: tuple[Floats, Floats] | None = None
+) -> Floats:
     """The joints with which an arm that is nearly the solution's own does the same.
 
     Newton's method goes on from each label, so the branch is the same. An arm that has too few
@@ -244,6 +246,8 @@ def followed(solution: Solution, chain: SerialChain) -> Floats:
     Args:
         solution: Labels of some inputs.
         chain: The other arm, such as a fitted one.
+        pose: Where its tool is to be [mm] and how turned, instead of what the inputs ask, shapes
+            (points, 3) and (points, 3, 3).
 
     Returns:
         Joint values [rad or mm], shape (points, joints); NaN where the first arm, or this one, is
@@ -253,8 +257,9 @@ def followed(solution: Solution, chain: SerialChain) -> Floats:
     if there.any():
         home = joints[there].mean(axis=0) if solution.home is None else solution.home
         follower = Follower(chain, solution.target, home, solution.locked)
-        joints[there] = follower.follow(solution.x[there], joints[there])
-        if follower.rank == len(follower.jacobian_mm(home[None])[0]):
+        position, rotation = pose or solution.target.wanted(solution.x)
+        joints[there] = follower.follow_pose(position[there], rotation[there], joints[there])
+        if pose is None and follower.rank == len(follower.jacobian_mm(home[None])[0]):
             joints[~_arrived(chain, solution.target, joints, solution.x)] = np.nan
     return joints
 

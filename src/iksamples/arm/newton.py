@@ -72,7 +72,18 @@ class Follower:
         Returns:
             Joint values [rad or mm], shape (points, joints); NaN where the tool cannot be led.
         """
-        position, rotation = self._target.wanted(x)
+        return self.follow_pose(*self._target.wanted(x), start)
+
+    def follow_pose(
+        self, position: Floats, rotation: Floats, start: ArrayLike | None = None
+    ) -> Floats:
+        """Joint values that have the tool in poses, as far as the target asks for them.
+
+        Args:
+            position: Where the tool is wanted [mm], shape (points, 3).
+            rotation: How it is wanted to be turned, shape (points, 3, 3).
+            start: As `follow`.
+        """
         shape = (len(position), self._chain.n_joints)
         joints = np.array(np.broadcast_to(self._home if start is None else start, shape))
         start_position, start_rotation = self._chain.pose(joints)

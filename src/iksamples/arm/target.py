@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import Floats, SerialChain, Unit, roll_pitch_yaw
+from iksamples.arm.chain import Floats, Unit, roll_pitch_yaw
+from iksamples.arm.real import Arm
 from iksamples.errors import IksamplesError
 
 
@@ -92,11 +93,11 @@ class Target:
         angles[..., turned] = x[..., self._n_positions :]
         return position, roll_pitch_yaw(angles) @ self.reference_rotation
 
-    def position_error_mm(self, chain: SerialChain, joints: ArrayLike, x: ArrayLike) -> Floats:
+    def position_error_mm(self, arm: Arm, joints: ArrayLike, x: ArrayLike) -> Floats:
         """Distance of the tool centre point from where it is asked to be.
 
         Args:
-            chain: The arm.
+            arm: The arm.
             joints: Joint values [rad or mm], shape (..., joints).
             x: Inputs [mm or rad], shape (..., inputs).
 
@@ -104,10 +105,10 @@ class Target:
             Distances over the positions among the inputs [mm], shape (...).
         """
         x = np.asarray(x, float)
-        off = chain.forward_mm(joints)[..., list(self.positions)] - x[..., : self._n_positions]
+        off = arm.forward_mm(joints)[..., list(self.positions)] - x[..., : self._n_positions]
         return np.linalg.norm(off, axis=-1)
 
-    def angle_error_rad(self, chain: SerialChain, joints: ArrayLike, x: ArrayLike) -> Floats:
+    def angle_error_rad(self, arm: Arm, joints: ArrayLike, x: ArrayLike) -> Floats:
         """Angle by which the tool is turned away from what is asked.
 
         Between axes where the orientation is ``"axis"``; the geodesic angle on SO(3) where it is
@@ -115,7 +116,7 @@ class Target:
         *J. Math. Imaging Vis.* 35, 2009).
 
         Args:
-            chain: The arm.
+            arm: The arm.
             joints: Joint values [rad or mm], shape (..., joints).
             x: Inputs [mm or rad], shape (..., inputs).
 
@@ -127,7 +128,7 @@ class Target:
         """
         if self.orientation == "free":
             raise ValueError("a target with free orientation has no angle error")
-        rotation, wanted = chain.rotation(joints), self.wanted(x)[1]
+        rotation, wanted = arm.rotation(joints), self.wanted(x)[1]
         if self.orientation == "axis":
             a, b = rotation[..., 2], wanted[..., 2]
             return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))

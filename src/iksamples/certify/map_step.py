@@ -74,7 +74,8 @@ def map_cell(study: Study, task: Task, cell: Cell) -> "dict[str, pd.DataFrame]":
     import pandas as pd
 
     trainings, boxes = [], []
-    for seed in shown_seeds(study, cell):
+    provable = study.arm is None or study.arm.is_chain
+    for seed in shown_seeds(study, cell) if provable else ():
         trainings.append(_training(task, cell, seed))
         if len(task.x) <= _MOST_INPUTS:
             boxes.append(_unsafe(study, task, cell, seed))
@@ -124,10 +125,9 @@ def _training(task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
     epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
     finite = networks.finite_rows()
     sound, x = networks.select(finite), cell.samples.x
-    certificates = certify_stack(
-        sound, task.arm, task.region, rtol=_RTOL, seeds=x, target=task.target
-    )
-    errors = task.target.position_error_mm(task.arm, sound.predict(x), x)
+    chain = task.chain_of(seed)
+    certificates = certify_stack(sound, chain, task.region, rtol=_RTOL, seeds=x, target=task.target)
+    errors = task.target.position_error_mm(chain, sound.predict(x), x)
     return pd.DataFrame(
         {
             "seed": np.array(sound.seeds),
@@ -147,7 +147,7 @@ def _unsafe(study: Study, task: Task, cell: Cell, seed: int) -> "pd.DataFrame":
     coverage = certify_coverage(
         cell.network,
         cell.network.seeds.index(seed),
-        task.arm,
+        task.chain_of(seed),
         task.region,
         study.tolerance.error_mm,
         atol=_ATOL,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from iksamples.arm.chain import Floats
+from iksamples.arm.chain import Floats, SerialChain
 from iksamples.certify.checker import Claim, verify
 from iksamples.certify.compared import Measure
 from iksamples.certify.mean import MeanError, certify_mean
@@ -48,11 +48,16 @@ def certify(
     if study.all_methods[method].kind == "network":
         network = StackedMLP.load(folder / "weights.safetensors")
         return certify_networks(study, task, method, samples, network)
-    try:
-        grid = tensor_grid(samples, method)
-    except NotApplicableError:
-        return _table([], samples, task)
-    return _rows(study, task, method, samples, Table(grid.axes, grid.joints), (0,))
+    arms = study.all_methods[method].training.all_seeds if samples.arms else (0,)
+    rows = []
+    for seed in arms:
+        try:
+            grid = tensor_grid(samples.of(seed), method)
+        except NotApplicableError:
+            break
+        table = Table(grid.axes, grid.joints)
+        rows += _rows(study, task, method, samples, table, (seed,))
+    return _table(rows, samples, task)
 
 
 def certify_networks(
@@ -72,7 +77,11 @@ def certify_networks(
         prove is missing.
     """
     sound = network.select(network.finite_rows())
-    return _rows(study, task, method, samples, sound, sound.seeds)
+    stacks = [sound]
+    if samples.arms:  # each on its own arm
+        stacks = [sound.select([row]) for row in range(sound.n_seeds)]
+    rows = [row for one in stacks for row in _rows(study, task, method, samples, one, one.seeds)]
+    return _table(rows, samples, task)
 
 
 def _rows(
@@ -82,13 +91,16 @@ def _rows(
     samples: SampleSet,
     answers: StackedMLP | Table,
     seeds: tuple[int, ...],
-) -> "pd.DataFrame":
-    """A row per network, or for a look-up table."""
-    positions = _proved(study, task, samples, answers, "position")
-    angles = _proved(study, task, samples, answers, "angle") if task.turns else None
+) -> list[dict[str, object]]:
+    """A row per network, or for a look-up table; all of one arm."""
+    if not seeds:
+        return []
+    chain = task.chain_of(seeds[0])
+    positions = _proved(study, task, chain, samples, answers, "position")
+    angles = _proved(study, task, chain, samples, answers, "angle") if task.turns else None
     rows = []
     for row, (certificate, lower, upper) in enumerate(positions):
-        mean = _mean(study, task, answers, row)
+        mean = _mean(study, task, chain, answers, row)
         bounds: dict[str, object] = {"sup_lower_mm": lower, "sup_upper_mm": upper}
         boxes, seconds, done = certificate.boxes, certificate.seconds, certificate.complete
         verified = bool(np.isfinite(upper))
@@ -110,17 +122,19 @@ def _rows(
                 "verified": verified,
             }
         )
-    return _table(rows, samples, task)
+    return rows
 
 
-def _mean(study: Study, task: Task, answers: StackedMLP | Table, row: int) -> MeanError | None:
+def _mean(
+    study: Study, task: Task, chain: SerialChain, answers: StackedMLP | Table, row: int
+) -> MeanError | None:
     """The mean error, enclosed; None where there are too many inputs for that."""
     if len(task.x) > MOST_INPUTS_OF_A_MEAN:
         return None
     return certify_mean(
         answers,
         row,
-        task.arm,
+        chain,
         task.region,
         rtol=study.bounds.mean_rtol,
         atol_mm=study.bounds.mean_atol_mm,
@@ -129,12 +143,17 @@ def _mean(study: Study, task: Task, answers: StackedMLP | Table, row: int) -> Me
 
 
 def _proved(
-    study: Study, task: Task, samples: SampleSet, answers: StackedMLP | Table, measure: Measure
+    study: Study,
+    task: Task,
+    chain: SerialChain,
+    samples: SampleSet,
+    answers: StackedMLP | Table,
+    measure: Measure,
 ) -> list[tuple[Certificate, float, float]]:
     """Certificates with the bounds that the checker has proved, NaN where it has none."""
     found = certify_stack(
         answers,
-        task.arm,
+        chain,
         samples.region,
         rtol=study.bounds.sup_rtol,
         seeds=samples.x,
@@ -147,7 +166,7 @@ def _proved(
         claim = Claim(
             answers,
             row,
-            task.arm,
+            chain,
             samples.region,
             item.upper,
             item.lower,

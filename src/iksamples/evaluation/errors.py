@@ -1,11 +1,13 @@
 """Errors of networks and other methods on paths and over the whole region."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from iksamples.arm.chain import Floats
+from iksamples.arm.real import Arm
 from iksamples.evaluation.paths import waypoints
 from iksamples.methods.predictor import Predictor
 from iksamples.samples.record import region_points
@@ -48,7 +50,7 @@ class Tracking:
 
 
 def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
-    """Asks a method for inputs and follows it through the forward kinematics of the arm itself.
+    """Asks a method for inputs and follows it through the forward kinematics of each seed's arm.
 
     Args:
         predictor: Stacked networks, or any other fitted method.
@@ -56,9 +58,21 @@ def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
         x: Inputs [mm or rad], shape (points, d).
     """
     joints, target = predictor.predict(x), task.target
-    angle = np.degrees(target.angle_error_rad(task.arm, joints, x)) if task.turns else None
+    arms = [task.arm_of(seed) for seed in predictor.seeds]
+    # One arm for all of them goes in one piece.
+    rows = [slice(None)] if len(set(arms)) == 1 else [slice(i, i + 1) for i in range(len(arms))]
+
+    def of_each(measure: Callable[[Arm, Floats], Floats]) -> Floats:
+        return np.concatenate([measure(arms[row][0], joints[row]) for row in rows])
+
+    angle = None
+    if task.turns:
+        angle = np.degrees(of_each(lambda arm, own: target.angle_error_rad(arm, own, x)))
     return Tracking(
-        joints, task.arm.forward_mm(joints), target.position_error_mm(task.arm, joints, x), angle
+        joints,
+        of_each(lambda arm, own: arm.forward_mm(own)),
+        of_each(lambda arm, own: target.position_error_mm(arm, own, x)),
+        angle,
     )
 
 

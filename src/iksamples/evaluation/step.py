@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.methods.predictor import NotApplicableError, Predictor
-from iksamples.methods.registry import KINDS, fit
+from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study
@@ -34,12 +34,12 @@ def evaluate(
     """
     import pandas as pd
 
-    kind = study.all_methods[method].kind
+    own = study.all_methods[method]
     try:
         predictor: Predictor = (
             StackedMLP.load(folder / "weights.safetensors")
-            if not KINDS[kind].fit
-            else fit(kind, task, samples)
+            if not KINDS[own.kind].fit
+            else fit_each(own.kind, task, samples, own.training.all_seeds)
         )
     except NotApplicableError as reason:
         empty = {

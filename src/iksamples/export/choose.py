@@ -58,6 +58,11 @@ def choose(
         IksamplesError: The study is not finished, or there is no such network.
     """
     answer, study = read_answer(results), read_study(results / "study.json")
+    if study.arm:
+        raise IksamplesError(
+            f"{study.name}: its networks learnt simulated arms, no two alike, so there is none to "
+            "take away. Export from a study without an arm section."
+        )
     one, label, why = _variant(answer, method, samples)
     runs = read_runs(results)
     runs = runs[(runs["method"] == one.method) & (runs["label"] == label)]

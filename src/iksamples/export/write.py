@@ -64,7 +64,9 @@ def export(
             fed=fed_as(task.x.units, input_unit, None, None),
             read=read,
         )
-    found = prove(reading, task.arm, task.region, task.target, rtol=choice.study.bounds.sup_rtol)
+    found = prove(
+        reading, task.drawing, task.region, task.target, rtol=choice.study.bounds.sup_rtol
+    )
     proved = {f"{measure}_error": one for measure, [one] in found.items()}
     if any(one.upper == math.inf for one in proved.values()):
         raise IksamplesError(

@@ -1,6 +1,6 @@
 """What every method gives in the end: something that answers positions with joint values."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -60,6 +60,24 @@ class Single:
         x = np.asarray(x, float)
         blocks = np.split(x, range(_BLOCK, len(x), _BLOCK))
         return np.concatenate([self.answer(block) for block in blocks])[None]
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """A member for each arm, in the order of their seeds.
+
+    Attributes:
+        members: Predictors of one member; the same one where all arms are answered alike.
+        seeds: The arms' seeds.
+    """
+
+    members: Sequence[Predictor]
+    seeds: tuple[int, ...]
+
+    def predict(self, x: ArrayLike, /) -> Floats:
+        """Joint values [rad or mm], shape (members, points, joints), for inputs (points, d)."""
+        answers = {member: member.predict(x)[0] for member in dict.fromkeys(self.members)}
+        return np.stack([answers[member] for member in self.members])
 
 
 def require_at_most(limit: int, samples: SampleSet, kind: str) -> None:

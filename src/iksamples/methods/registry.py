@@ -15,7 +15,7 @@ from iksamples.methods import (
     residual,
     trigonometric,
 )
-from iksamples.methods.predictor import Predictor
+from iksamples.methods.predictor import Predictor, Stacked
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
 
@@ -73,3 +73,26 @@ def fit(kind: str, task: Task, samples: SampleSet) -> Predictor:
             f"no method '{kind}' to fit; there are {fitted} (a network is trained)."
         )
     return of_kind.fit(task, samples)
+
+
+def fit_each(kind: str, task: Task, samples: SampleSet, seeds: tuple[int, ...]) -> Predictor:
+    """Fits a method to what each of some arms has recorded.
+
+    Args:
+        kind: Key of ``KINDS``.
+        task: What is learned.
+        samples: The samples.
+        seeds: The arms' seeds.
+
+    Returns:
+        A member for each arm; a single one where all arms are as the drawing has them.
+
+    Raises:
+        NotApplicableError: As ``fit``.
+        IksamplesError: As ``fit``.
+    """
+    if not samples.arms:
+        return fit(kind, task, samples)
+    if not KINDS[kind].needs_samples:
+        return Stacked([fit(kind, task, samples)] * len(seeds), seeds)
+    return Stacked([fit(kind, task, samples.of(seed)) for seed in seeds], seeds)

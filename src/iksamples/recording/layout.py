@@ -44,7 +44,7 @@ def layout(
     arm = shown[-1]
     lower, upper = task.positions_mm([task.x.lower, task.x.upper])
     box = np.stack([lower, upper])
-    body = np.concatenate([box, task.arm.skeleton_mm(arm.joints).reshape(-1, 3)])
+    body = np.concatenate([box, task.chain_of(arm.seed).skeleton_mm(arm.joints).reshape(-1, 3)])
     # Else the viewer measures from the URDF's root, which need not be the base link.
     scene_frame = rrb.SpatialInformation(target_frame="tf#/")
     everything = rrb.Spatial3DView(

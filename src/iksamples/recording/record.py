@@ -85,7 +85,7 @@ def _write(
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     waypoints = np.arange(0, len(arm.target_mm), -(-len(arm.target_mm) // MAX_WAYPOINTS))
     _log_scene(recording, task, arm)
-    _log_arm(recording, study, task.arm, arm, waypoints)
+    _log_arm(recording, study, task.chain_of(arm.seed), arm, waypoints)
     for grid, colour in zip(shown, blues(len(shown)), strict=True):
         _log_grid(recording, grid, colour, waypoints)
     if proof is not None:

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from iksamples.task import Space
 
 
 _ROLES = ("sample", "validation", "test")
+_DRAWING = -1
+"""Seed of the rows that are as the drawing has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +33,7 @@ class SampleSet:
         joint_space: The joints, with theirs.
         region: The usable part of the workspace, which the samples are of.
         x: The samples' inputs [mm or rad], shape (n, d).
-        joints: Their joint values [rad or mm], shape (n, joints).
+        joints: Their joint values by the drawing [rad or mm], shape (n, joints).
         validation_x: Fresh inputs for the validation loss, shape (v, d), may be empty.
         validation_joints: Their joint values, shape (v, joints).
         test_x: Fresh inputs for the test loss, shape (t, d), may be empty.
@@ -42,6 +45,10 @@ class SampleSet:
         fill_distance_mm: Largest distance from a point of the region to its nearest sample [mm];
             NaN where angles are among the inputs.
         n_masked: Points left out because the arm cannot use them.
+        arms: The seed of each simulated arm that the samples are recorded on; empty: they are as
+            the drawing has them.
+        arm_joints: Joint values recorded on each, at the samples and then at the fresh points of
+            validation and test [rad or mm], shape (arms, n + v + t, joints).
     """
 
     label: str
@@ -60,6 +67,52 @@ class SampleSet:
     spacing_mm: float
     fill_distance_mm: float
     n_masked: int
+    arms: tuple[int, ...] = ()
+    arm_joints: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
+
+    def of(self, seed: int) -> "SampleSet":
+        """The samples as they are recorded on the arm of a seed.
+
+        Raises:
+            IksamplesError: They were recorded on other arms.
+        """
+        if not self.arms:
+            return self
+        ends = np.cumsum([len(part) for part in self._inputs()])
+        joints, validation, test, _ = np.split(self.recorded([seed])[0], ends)
+        return replace(
+            self,
+            joints=joints,
+            validation_joints=validation,
+            test_joints=test,
+            arms=(),
+            arm_joints=np.empty((0, 0, 0)),
+        )
+
+    def recorded(self, seeds: Sequence[int]) -> Floats:
+        """What the arms of some seeds have recorded at all points, samples first.
+
+        Returns:
+            Joint values [rad or mm], shape (seeds, n + v + t, joints), or (1, ...) where the
+            samples are as the drawing has them.
+
+        Raises:
+            IksamplesError: They were recorded on other arms.
+        """
+        if not self.arms:
+            return np.concatenate(self._answers())[None]
+        missing = sorted(set(seeds) - set(self.arms))
+        if missing:
+            raise IksamplesError(
+                f"{self.label}: not recorded on the arm of seed {missing[0]}; record the samples "
+                "again."
+            )
+        return self.arm_joints[[self.arms.index(seed) for seed in seeds]]
+
+    @property
+    def inputs(self) -> Floats:
+        """The inputs at all points, samples first [mm or rad], shape (n + v + t, d)."""
+        return np.concatenate(self._inputs())
 
     @property
     def n_samples(self) -> int:
@@ -98,9 +151,13 @@ class SampleSet:
         return (np.asarray(x, float) - self.offset) / self.scale
 
     def digest(self) -> str:
-        """Twelve hexadecimal digits of everything a training reads from the set."""
+        """Twelve hexadecimal digits of everything a training reads from the set.
+
+        Of several arms the first one's records stand for all, so that another arm changes nothing.
+        """
         content = hashlib.sha256()
-        for array in (*self._inputs(), *self._answers(), self.offset, self.scale):
+        first = (self.arm_joints[:1],) if self.arms else ()
+        for array in (*self._inputs(), *self._answers(), self.offset, self.scale, *first):
             content.update(str(array.shape).encode())
             content.update(np.ascontiguousarray(array, float).tobytes())
         content.update("".join(self.joint_space.units).encode())
@@ -111,9 +168,15 @@ class SampleSet:
         import pyarrow as pa
         from pyarrow import parquet
 
-        inputs = self._inputs()
-        x, joints = np.concatenate(inputs), np.concatenate(self._answers())
-        columns: dict[str, object] = {"role": np.repeat(_ROLES, [len(part) for part in inputs])}
+        # Point by point as the drawing has them, and then as each arm has recorded them.
+        of_all = 1 + len(self.arms)
+        x = np.tile(self.inputs, (of_all, 1))
+        own = self.arm_joints.reshape(-1, len(self.joint_space))
+        joints = np.concatenate([*self._answers(), own]) if self.arms else self.recorded([])[0]
+        roles = np.repeat(_ROLES, [len(part) for part in self._inputs()])
+        columns: dict[str, object] = {"role": np.tile(roles, of_all)}
+        if self.arms:
+            columns["seed"] = np.repeat([_DRAWING, *self.arms], len(roles))
         columns |= dict(zip(self.space.columns(), x.T, strict=True))
         normal = self.normalise(x).T
         columns |= {f"{name}_input": normal[i] for i, name in enumerate(self.space.names)}
@@ -162,6 +225,13 @@ class SampleSet:
             return np.stack([rows[name].to_numpy() for name in names], axis=-1)
 
         columns = space.columns(), joint_space.columns("q_")
+        arms, arm_joints = (), np.empty((0, 0, 0))
+        if "seed" in table.column_names:
+            own = table["seed"].to_numpy()
+            arms = tuple(dict.fromkeys(own[own != _DRAWING].tolist()))
+            joints = np.stack([table[name].to_numpy() for name in columns[1]], axis=-1)
+            arm_joints = joints[own != _DRAWING].reshape(len(arms), -1, len(joint_space))
+            table = table.filter(pa.compute.equal(table["seed"], _DRAWING))
         samples, validation, test = (
             (take(role, columns[0]), take(role, columns[1])) for role in _ROLES
         )
@@ -179,6 +249,8 @@ class SampleSet:
             header["spacing_mm"],
             header["fill_distance_mm"],
             header["n_masked"],
+            arms,
+            arm_joints,
         )
 
     def _inputs(self) -> tuple[Floats, Floats, Floats]:

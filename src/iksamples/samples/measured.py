@@ -227,7 +227,7 @@ def _miss(task: Task, values: Floats) -> float:
     inputs, joints = values[:, : len(task.x)], values[:, len(task.x) :]
     lengths = inputs[:, [unit == "mm" for unit in task.x.units]]
     spread = np.sqrt(np.mean(np.sum((lengths - lengths.mean(axis=0)) ** 2, axis=1)))
-    missed = task.target.position_error_mm(task.arm, joints, inputs)
+    missed = task.target.position_error_mm(task.drawing, joints, inputs)
     return float(np.median(missed) / spread)
 
 
@@ -239,7 +239,7 @@ def _listed(columns: list[Column], units: list[str]) -> str:
 
 def _doubts(task: Task, table: Table, inputs: Floats, joints: Floats) -> list[str]:
     """What is odd about the samples, a line each."""
-    chain, n = task.arm, len(inputs)
+    chain, n = task.drawing, len(inputs)
 
     def rows(which: NDArray[np.intp]) -> str:
         some = ", ".join(table.place(int(row)) for row in which[:_NAMED_ROWS])

@@ -10,6 +10,7 @@ from iksamples.arm.inverse import require_usable_lattice
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
+from iksamples.samples.arms import on_arms
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import TENSOR, Design, Study
 from iksamples.task import Task
@@ -70,7 +71,7 @@ def samples_at(study: Study, task: Task, design: Design, n: int, x: Floats) -> S
             "to span it. Move the workspace or drop this size."
         )
     wanted = int(np.prod(study.grid_shape(n))) if design in TENSOR else n
-    return sample_set(
+    samples = sample_set(
         study,
         task,
         label,
@@ -80,6 +81,7 @@ def samples_at(study: Study, task: Task, design: Design, n: int, x: Floats) -> S
         grid=study.grid_shape(n) if design == "grid" else None,
         n_masked=wanted - n_kept,
     )
+    return on_arms(study, task, samples)
 
 
 def sample_set(

@@ -5,6 +5,7 @@ the paper's study. ``config/schema.json`` and the table in ``config/README.md`` 
 here (``iksamples handbook``).
 """
 
+from iksamples.study.arm import Arm, Expected
 from iksamples.study.evaluation import (
     Bounds,
     Evaluation,
@@ -37,6 +38,7 @@ __all__ = [
     "RECORDED",
     "TENSOR",
     "AnyPath",
+    "Arm",
     "Asked",
     "Bounds",
     "Circle",
@@ -46,6 +48,7 @@ __all__ = [
     "DoubleRectangle",
     "EarlyStopping",
     "Evaluation",
+    "Expected",
     "Heart",
     "HeldOut",
     "Helix",

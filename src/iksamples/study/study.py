@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import Field, field_serializer, model_validator
 
+from iksamples.study.arm import Arm
 from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
 from iksamples.study.readings import Readings
 from iksamples.study.robot import Asked, Robot, Workspace
@@ -42,6 +43,11 @@ class Study(Section):
     name: StudyName = Field(description="Name of the study's folders under results/ and reports/.")
     title: str = Field("", max_length=200, description="One line for the head of the report.")
     robot: Robot = Robot()
+    arm: Arm | None = Field(
+        None,
+        description="How the arm itself differs from its drawing, the robot's file; null: not at "
+        "all.",
+    )
     task: Asked = Asked()
     workspace: Workspace = Workspace()
     samples: Samples = Samples()
@@ -113,6 +119,12 @@ class Study(Section):
                 "a study with 'readings' sets nothing else, since each reading is a study of its "
                 f"own; leave out {', '.join(map(repr, ignored))}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _the_paper_has_no_other_arm(self) -> "Study":
+        if self.paper and self.arm:
+            raise ValueError("'arm' is no part of the paper's own case; leave out 'paper' or 'arm'")
         return self
 
     @model_validator(mode="after")
@@ -205,8 +217,15 @@ class Study(Section):
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seed of every network."""
+        return self.training.all_seeds
+
+    @property
+    def arms(self) -> tuple[int, ...]:
+        """The seed of every simulated arm that samples are recorded on; none without ``arm``."""
+        if self.arm is None:
+            return ()
         return tuple(
-            range(self.training.first_seed, self.training.first_seed + self.training.seeds)
+            sorted({seed for one in self.all_methods.values() for seed in one.training.all_seeds})
         )
 
     def digest(self) -> str:

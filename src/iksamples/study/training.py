@@ -137,6 +137,11 @@ class Training(Section):
         """How many of n samples a seed learns from."""
         return n - sum(self.held_out.counts(n))
 
+    @property
+    def all_seeds(self) -> tuple[int, ...]:
+        """The seed of every network."""
+        return tuple(range(self.first_seed, self.first_seed + self.seeds))
+
     @model_validator(mode="after")
     def _validation_for_early_stopping(self) -> "Training":
         if self.early_stopping and not (

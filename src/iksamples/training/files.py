@@ -106,8 +106,8 @@ def _losses(problem: Problem, samples: SampleSet, network: StackedMLP) -> dict[s
 
     A prismatic joint's error counts over its output scale, as in training.
     """
-    x = np.concatenate([samples.x, samples.validation_x, samples.test_x])
-    joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
+    x, joints = samples.inputs, samples.recorded(problem.seeds)
+    one_for_all = len(joints) == 1
     kinds = {
         "train": problem.train_rows,
         "validation": problem.validation_rows,
@@ -117,11 +117,13 @@ def _losses(problem: Problem, samples: SampleSet, network: StackedMLP) -> dict[s
     for first in range(0, problem.n_seeds, _SEEDS_AT_ONCE):
         some = np.arange(first, min(first + _SEEDS_AT_ONCE, problem.n_seeds))
         with np.errstate(all="ignore"):  # a diverged seed is a row with NaN, not an error
-            error = (network.select(some).predict(x) - joints) / problem.output_scale
+            wanted = joints if one_for_all else joints[some]
+            error = (network.select(some).predict(x) - wanted) / problem.output_scale
             square = np.mean(error**2, axis=-1)
             for kind, rows in kinds.items():
                 if rows.shape[1]:
-                    chosen = np.take_along_axis(square, rows[some].astype(np.intp), axis=1)
+                    own = rows[some].astype(np.intp) % len(x)
+                    chosen = np.take_along_axis(square, own, axis=1)
                     losses[f"{kind}_loss_rad2"][some] = chosen.mean(axis=1)
     return losses
 

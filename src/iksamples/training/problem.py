@@ -72,14 +72,19 @@ def pose_problem(study: Study, samples: SampleSet, seeds: Sequence[int]) -> Prob
     n, n_validation, n_test = (
         len(part) for part in (samples.x, samples.validation_x, samples.test_x)
     )
-    x = np.concatenate([samples.x, samples.validation_x, samples.test_x])
-    joints = np.concatenate([samples.joints, samples.validation_joints, samples.test_joints])
+    joints = samples.recorded(seeds)
+    x = np.tile(samples.inputs, (len(joints), 1))
     if study.training.held_out.source == "grid":
         train, validation, test = split_grid(seeds, n, study.training.held_out)
     else:
         rows = np.arange(n + n_validation + n_test, dtype=np.int32)
         stacked = np.broadcast_to(rows, (len(seeds), len(rows)))
         train, validation, test = np.split(stacked, [n, n + n_validation], axis=1)
+    if samples.arms:
+        # A seed's rows are those that its own arm has recorded.
+        own = np.arange(len(seeds), dtype=np.int32)[:, None] * joints.shape[1]
+        train, validation, test = train + own, validation + own, test + own
+    joints = joints.reshape(len(x), -1)
     return Problem(
         tuple(seeds),
         (x.shape[1], *study.network.hidden, joints.shape[1]),
