@@ -82,6 +82,27 @@ def test_balls_of_functions_hold_the_exact_result(a, r):
 
 
 @settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), terms=st.integers(1, 40), known=st.booleans())
+def test_balls_of_products_hold_the_exact_result(seed, terms, known):
+    """Also where one factor is all but too large and the other is all but nothing."""
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** rng.choice([-290, -150, 0, 150, 298, 304])
+    a = scale * rng.normal(size=(1, 2, terms))
+    b = 1 / scale * rng.normal(size=(terms, 2)) * 10.0 ** rng.integers(-8, 8, (terms, 2))
+    r, s = (1e-12 * np.abs(v) * rng.uniform(size=v.shape) for v in (a, b))
+    product = Ball(a, r) @ (b if known else Ball(b, s))
+    ends = np.sign(a[0, 0]) * r[0, 0], np.sign(b[:, 0]) * s[:, 0] * (not known)
+    with mpmath.workprec(2400):
+        for sign in (-1, 1):
+            value = mpmath.fsum(
+                (exact(a[0, 0, k]) + sign * exact(ends[0][k]))
+                * (exact(b[k, 0]) + sign * exact(ends[1][k]))
+                for k in range(terms)
+            )
+            assert holds(product[0, 0, 0], value)
+
+
+@settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), terms=st.integers(1, 40))
 def test_balls_of_sums_hold_the_exact_result(seed, terms):
     rng = np.random.default_rng(seed)
@@ -113,7 +134,9 @@ def test_two_ways_to_the_arms_derivatives_agree(kinds, seed):
     rng = np.random.default_rng(seed)
     chain = random_chain(rng, kinds)
     q = rng.uniform(-3, 3, (3, len(kinds)))
-    tip, first, second = Arm(chain).derivatives(q)
+    beside = replace(chain, tip_mm=rng.uniform(-100, 100, 3))
+    derived = Arm([beside, chain]).derivatives(Ball.of(q))
+    tip, first, second = (part[..., 1, :] for part in derived)
     position, jacobian, hessian = Linkage.of(chain).jets(q)
     full = hessian + hessian.transpose(0, 1, 3, 2)
     for ball, value in (
@@ -203,7 +226,7 @@ def test_what_nearly_parallel_axes_leave_out_is_counted():
         nothing,
         nothing,
     )
-    bound = Arm(chain).beyond(np.zeros((1, 2)), straight, np.zeros((1, 2)))
+    bound = Arm([chain]).beyond(straight)
     assert left_out <= bound.min() < 1e3 * left_out
 
 

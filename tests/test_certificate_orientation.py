@@ -21,6 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
+from iksamples.certify.enclosure import pairs
+from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import certify_stack
 from iksamples.errors import IksamplesError
@@ -40,7 +42,7 @@ ASKED = [
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    kinds=st.sampled_from(["RRR", "RRP", "PRR", "RRRR", "RRRRRR"]),
+    kinds=st.sampled_from(["PPP", "RRR", "RRP", "PRR", "RRRR", "RRRRRR"]),
     asked=st.sampled_from(ASKED),
     orientation=st.sampled_from(["fixed", "axis"]),
     activation=st.sampled_from(["relu", "tanh"]),
@@ -73,6 +75,29 @@ def test_no_point_is_turned_further_than_its_bound(seed, kinds, asked, orientati
     assert found.upper - 1e-6 < checked.upper
     lower_claim = float(np.nextafter(checked.upper, 0))
     assert not check(found, stack, 0, chain, region, upper=lower_claim, **asked_of).verified
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), still=st.booleans())
+def test_the_residual_stays_inside_its_enclosure(seed, still):
+    """Also where the arm stands still and only what is asked turns."""
+    rng = np.random.default_rng(seed)
+    chain, target = pose_chain(), Target(COORDINATES, "fixed", Rotation.random(rng=rng).as_matrix())
+    stack = random_network(rng, (6, 6), "relu", spread=0.0 if still else 0.3)
+    lower, upper = np.full(6, -0.4), np.full(6, 0.4)
+    errors = ErrorOverBoxes(stack, chain, Region.box(lower, upper), target, "angle")
+    middle, half = rng.uniform(-0.2, 0.2, (1, 6)), rng.uniform(0, 0.2, (1, 6))
+    s = rng.choice([-1.0, 1.0], (200, 6)) * rng.uniform(0.8, 1, (200, 6))
+    points = middle + s * half
+    reached = plain_rotation(chain, plain_answer(stack, 0, points)).as_matrix()
+    asked = Rotation.from_euler("xyz", points[:, 3:]).as_matrix() @ target.reference_rotation
+    first, second = pairs(6)
+    for k, part in enumerate(errors.residuals(np.zeros(1, int), middle, half)):
+        inside = part.centre_mm[0] + s @ part.linear_mm[0]
+        inside += (s[:, first] * s[:, second]) @ part.quadratic_mm[0]
+        apart = np.linalg.norm((reached - asked)[:, :, k] - inside, axis=1)
+        assert part.noise_mm.shape[1] == 0
+        assert 0 < apart.max() <= part.remainder_mm.max()
 
 
 def pose_chain():

@@ -7,6 +7,7 @@ nearest, on sums and products being computed classically in any order (fused or 
 its own.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Union
 
@@ -85,8 +86,10 @@ class Ball:
         """Product, element by element."""
         b = Ball.of(other)
         mid = self.mid * b.mid
-        spread = np.abs(self.mid) * b.rad + self.rad * (np.abs(b.mid) + b.rad)
-        return Ball(mid, up(spread + UNIT * np.abs(mid)))
+        spread = self.rad * (np.abs(b.mid) + b.rad) + UNIT * np.abs(mid)
+        if isinstance(other, Ball):
+            spread = spread + np.abs(self.mid) * b.rad
+        return Ball(mid, up(spread))
 
     __rmul__ = __mul__
 
@@ -99,12 +102,14 @@ class Ball:
     def __matmul__(self, other: BallLike) -> "Ball":
         """Matrix product."""
         b = Ball.of(other)
-        terms = self.shape[-1]
-        mid = self.mid @ b.mid
+        terms, size = self.shape[-1], np.abs(b.mid)
         # Higham: a sum of k products is off by at most k UNIT / (1 - k UNIT) of the absolute sum.
-        size = np.abs(self.mid) @ np.abs(b.mid)
-        spread = np.abs(self.mid) @ b.rad + self.rad @ (np.abs(b.mid) + b.rad)
-        return Ball(mid, _up_sum(spread + 2.0 * terms * UNIT * size, terms))
+        # That share of a factor is counted before it is multiplied, so it must not underflow.
+        share = 2.0 * terms * UNIT * size + _TINY
+        spread = _dot(np.abs(self.mid), b.rad + share)
+        if self.rad.any():
+            spread = spread + _dot(self.rad, size + b.rad)
+        return Ball(_dot(self.mid, b.mid), _up_sum(spread, terms))
 
     def __rmatmul__(self, other: ArrayLike) -> "Ball":
         """Matrix product with numbers that are known exactly."""
@@ -145,9 +150,21 @@ class Ball:
         mid = np.tanh(self.mid)
         return Ball(mid, up(self.rad + _LIBRARY * np.abs(mid)))
 
+    def reshape(self, *shape: int) -> "Ball":
+        """The same balls in another shape."""
+        return Ball(self.mid.reshape(shape), self.rad.reshape(shape))
+
     def swap(self, first: int, second: int) -> "Ball":
         """The array with two axes exchanged."""
         return Ball(np.swapaxes(self.mid, first, second), np.swapaxes(self.rad, first, second))
+
+
+def _dot(first: Floats, second: Floats) -> Floats:
+    """Matrix product; one of many rows where the same matrix follows all of them."""
+    if second.ndim > 2 or first.ndim < 3:
+        return np.asarray(first @ second)
+    *count, terms = first.shape
+    return (first.reshape(math.prod(count), terms) @ second).reshape(*count, second.shape[1])
 
 
 def norm_above(squares: Floats) -> Floats:
@@ -162,7 +179,7 @@ def sum_above(sizes: Floats, axis: int) -> Floats:
 
 def product_above(first: Floats, second: Floats) -> Floats:
     """At least the matrix product of arrays that are not negative."""
-    return _up_sum(first @ second, first.shape[-1])
+    return _up_sum(_dot(first, second), first.shape[-1])
 
 
 def join(parts: list[Ball], axis: int) -> Ball:

@@ -154,7 +154,10 @@ class _Checks:
         self.items = compared(
             claim.chain, target, claim.measure, answers.n_inputs, answers.n_outputs
         )
-        self.arms = [Arm(item.chain) for item in self.items]
+        self.item = self.items[0]  # all differ in nothing but the vectors
+        self.arm = Arm([item.chain for item in self.items])
+        goals = [item.goal for item in self.items if item.goal]
+        self.goal = Arm(goals) if goals else None
         # How far the stored rotations can be from rotations: |s - 1| <= |s^2 - 1| for each singular
         # value s, so |A - nearest|_F <= |A^T A - 1|_F.
         self.off = 0.0
@@ -168,13 +171,13 @@ class _Checks:
 
     def attained(self, point: Floats | None) -> float:
         """At least this is the error at a point."""
-        at = np.atleast_2d(np.asarray(point, float))
-        answer, least = self.answers.answer(Ball.of(at)), []
-        for item, arm in zip(self.items, self.arms, strict=True):
-            ahead = Ball.of(-at[:, item.angles])
-            reached = arm.position(join([ahead, answer[:, item.outputs]], 1))[:, item.rows]
-            miss = reached - (at[:, item.inputs] if item.inputs else item.wanted)
-            least.append(np.maximum(np.abs(miss.mid) - miss.rad, 0.0))
+        at = Ball.of(np.atleast_2d(np.asarray(point, float)))
+        item, answer = self.item, self.answers.answer(at)
+        joints = join([-at[:, item.angles], answer[:, item.outputs]], 1)
+        miss = self.arm.position(joints)[:, :, item.rows]
+        wanted = at[:, item.inputs]
+        miss = miss - (self.goal.position(wanted) if self.goal else wanted)
+        least = np.maximum(np.abs(miss.mid) - miss.rad, 0.0)
         length = float(np.sqrt(np.sum(np.square(least))) * (1.0 - 64.0 * UNIT))
         if not np.isfinite(length):
             return 0.0
@@ -201,22 +204,88 @@ class _Checks:
 
     def _bounds(self, centre: Ball, half: Ball) -> Floats:
         """An upper bound of the error over each leaf."""
-        terms = self.answers.terms(centre, half)
-        sizes, reaches = [], []
-        for item, arm in zip(self.items, self.arms, strict=True):
-            size, reach = _bounds(item, arm, _driven(item, terms, centre, half), centre, half)
-            sizes.append(size)
-            reaches.append(reach)
-        largest = sizes[0].max(axis=1)
-        if len(sizes) > 1:
-            largest = norm_above(up(np.stack(sizes, axis=-1) ** 2)).max(axis=1)
+        joints = _driven(self.item, self.answers.terms(centre, half), centre, half)
+        apart = self._residual(joints, centre, half)
+        largest = norm_above(up(apart * apart)).max(axis=1)
         if self.measure == "position":
+            change = up(joints.straight() + joints.rest())
+            inputs, rows = list(self.item.inputs), list(self.item.rows)
+            around = Ball(centre.mid, up(centre.rad + half.magnitude()))[:, inputs]
+            reach = self.arm.farthest(joints.centre.mid, change, around, rows)
             # What overflowed says nothing; the arm's reach may still.
-            return np.fmin(np.where(np.isnan(largest), np.inf, largest), reaches[0])
-        apart = up(np.where(np.isnan(largest), np.inf, largest) + self.off)
+            return np.fmin(np.where(np.isnan(largest), np.inf, largest), reach)
+        largest = up(np.where(np.isnan(largest), np.inf, largest) + self.off)
         # The quotient, the root in it, the arc sine and the product are right to 32 UNIT.
-        angle = angle_rad(up(apart * (1.0 + 32.0 * UNIT)), len(sizes)) * (1.0 + 32.0 * UNIT)
+        angle = angle_rad(up(largest * (1.0 + 32.0 * UNIT)), len(self.items)) * (1.0 + 32.0 * UNIT)
         return np.minimum(up(angle), LARGEST_ANGLE)
+
+    def _residual(self, joints: Terms, centre: Ball, half: Ball) -> Floats:
+        """Bounds of the norms of the residuals at the corners, shape (leaves, corners, vectors)."""
+        leaves, d = half.shape
+        inputs = list(self.item.inputs)
+        middle, linear, curves, first = _second_order(self.arm, joints, self.item.rows)
+        beyond = self.arm.beyond(joints)
+
+        along = np.zeros((d, len(inputs)))
+        along[inputs, range(len(inputs))] = 1.0
+        own = half[:, :, None] * along
+        if self.goal:
+            asked = _exactly(centre[:, inputs], own)
+            wanted = _second_order(self.goal, asked, (0, 1, 2))
+            beyond = up(beyond + self.goal.beyond(asked))
+            drift = asked.centre.rad[:, :, None] * wanted[3].magnitude()
+            middle, linear, curves = middle - wanted[0], linear - wanted[1], curves - wanted[2]
+        else:
+            middle, linear = middle - centre[:, inputs], linear - own
+            drift = np.zeros((leaves, 1, 1))
+
+        squares = curves[:, :d] + joints.squares @ first
+        mixed = curves[:, d:] + joints.mixed @ first
+        signs, pairs = corners(d), mixed_pairs(d)
+        products = [signs[:, a] * signs[:, b] for a, b in pairs]
+        at = Ball.of(np.column_stack([signs, *products])) @ join([linear, mixed], 1)
+        # Squares lie in [0, 1], a noise at a corner in [low, high].
+        at = at + (middle + (squares * 0.5).sum(1))[:, None]
+        noise = joints.factor @ first
+        between, width = 0.5 * (joints.low + joints.high), 0.5 * (joints.high - joints.low)
+        width = up(width + 2.0 * UNIT * (np.abs(joints.low) + np.abs(joints.high)))
+        if between.any():
+            at = at + Ball.of(between) @ noise
+        spread = product_above(width, noise.magnitude())
+        # Centres are known to within their radius.
+        still = sum_above(joints.centre.rad[:, :, None] * first.magnitude(), 1)
+        still = up(still + sum_above(drift, 1) + sum_above((squares * 0.5).magnitude(), 1))
+        size = up(at.magnitude() + up(spread + still[:, None]))
+        size = size.reshape(leaves, len(signs), len(self.items), -1)
+        return up(norm_above(size * size) + beyond)
+
+
+def _second_order(arm: Arm, joints: Terms, rows: tuple[int, ...]) -> tuple[Ball, Ball, Ball, Ball]:
+    """Chains' tips, as if their joints were linear: constant, linear, squares and products.
+
+    Last the derivative by the joints. The coordinates of all tips stand behind each other, shapes
+    (leaves, values), (leaves, d, values), (leaves, d + pairs, values), (leaves, joints, values).
+    """
+    leaves, d, n = joints.linear.shape
+    derived = arm.derivatives(Ball.of(joints.centre.mid))
+    tip, first, second = (part[..., list(rows)] for part in derived)
+    values = tip.shape[1] * tip.shape[2]
+    tip, first = tip.reshape(leaves, values), first.reshape(leaves, n, values)
+    # Once along every edge: (leaves, edge, joint, values); and once more.
+    bent = (joints.linear @ second.reshape(leaves, n, n * values)).reshape(leaves, d, n, values)
+    bent = joints.linear @ bent.swap(1, 2).reshape(leaves, n, d * values)
+    bent = bent.reshape(leaves, d, d, values)
+    curves = [bent[:, a, a] * 0.5 for a in range(d)] + [bent[:, a, b] for a, b in mixed_pairs(d)]
+    return tip, joints.linear @ first, stack(curves, 1), first
+
+
+def _exactly(centre: Ball, linear: Ball) -> Terms:
+    """Terms that have no other parts."""
+    leaves, d, n = linear.shape
+    zero, none = Ball.of(np.zeros((leaves, d, n))), np.zeros((leaves, 0))
+    nothing, reach = Ball.of(np.zeros((leaves, 0, n))), np.zeros((leaves, 2**d, 0))
+    mixed = Ball.of(np.zeros((leaves, len(mixed_pairs(d)), n)))
+    return Terms(centre, linear, zero, mixed, nothing, none, reach, reach)
 
 
 def _driven(item: Compared, terms: Terms, centre: Ball, half: Ball) -> Terms:
@@ -239,59 +308,3 @@ def _driven(item: Compared, terms: Terms, centre: Ball, half: Ball) -> Terms:
         mixed=behind_nothing(terms.mixed),
         factor=behind_nothing(terms.factor),
     )
-
-
-def _bounds(
-    item: Compared, arm: Arm, joints: Terms, centre: Ball, half: Ball
-) -> tuple[Floats, Floats]:
-    """Bounds of a residual's norm at the corners of each leaf, and by the arm's reach alone.
-
-    Shapes (leaves, corners), (leaves,).
-    """
-    d = centre.shape[1]
-    rows, inputs = list(item.rows), list(item.inputs)
-    tip, first, second = arm.derivatives(joints.centre.mid)
-    tip, first, second = tip[:, rows], first[:, :, rows], second[..., rows]
-
-    linear = joints.linear @ first
-    if inputs:
-        own = np.zeros((d, len(rows)))
-        own[inputs, range(len(inputs))] = 1.0
-        linear = linear - half[:, :, None] * own
-        around = Ball(centre.mid, up(centre.rad + half.magnitude()))[:, inputs]
-        tip = tip - centre[:, inputs]
-    else:
-        around = Ball.of(np.zeros((len(centre.mid), len(rows)))) + item.wanted
-        tip = tip - item.wanted
-    squares, mixed = joints.squares @ first, joints.mixed @ first
-    noise = joints.factor @ first
-
-    bent = [(second * joints.linear[:, b, None, :, None]).sum(2) for b in range(d)]
-
-    def curve(a: int, b: int) -> Ball:
-        return (bent[b] * joints.linear[:, a, :, None]).sum(1)
-
-    squares = squares + stack([curve(a, a) * 0.5 for a in range(d)], 1)
-    pairs = mixed_pairs(d)
-    if pairs:
-        mixed = mixed + stack([curve(a, b) for a, b in pairs], 1)
-
-    signs = corners(d)
-    at = tip[:, None] + Ball.of(signs) @ linear
-    if pairs:
-        at = at + Ball.of(np.stack([signs[:, a] * signs[:, b] for a, b in pairs], 1)) @ mixed
-    # Squares lie in [0, 1], a noise at a corner in [low, high].
-    at = at + (squares * 0.5).sum(1)[:, None]
-    spread = sum_above((squares * 0.5).magnitude(), 1)[:, None]
-    middle, width = 0.5 * (joints.low + joints.high), 0.5 * (joints.high - joints.low)
-    width = up(width + 2.0 * UNIT * (np.abs(joints.low) + np.abs(joints.high)))
-    at = at + Ball.of(middle) @ noise
-    spread = up(spread + product_above(width, noise.magnitude()))
-    # The centre of the network's answer is known to within its radius.
-    spread = up(spread + sum_above(joints.centre.rad[:, :, None] * first.magnitude(), 1)[:, None])
-    beyond = arm.beyond(joints.centre.mid, joints, joints.rest())
-    size = up(at.magnitude() + spread)
-
-    change = up(joints.straight() + joints.rest())
-    reach = arm.farthest(joints.centre.mid, change, around, rows)
-    return up(norm_above(size * size) + beyond), reach

@@ -1,5 +1,7 @@
 """The checker's own arm: derivatives from products of transformations, in ball arithmetic."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,36 +24,37 @@ _NEARLY_PARALLEL = 1e-9
 
 
 class Arm:
-    """The chain in ball arithmetic."""
+    """Chains that differ in nothing but their tips, in ball arithmetic."""
 
-    def __init__(self, chain: SerialChain) -> None:
-        """Takes the chain apart."""
+    def __init__(self, chains: Sequence[SerialChain]) -> None:
+        """Takes the chains apart."""
+        chain = chains[0]
         self.n = chain.n_joints
         self.turns = [kind == "revolute" for kind in chain.joint_kinds]
         self.axes = [_unit(axis) for axis in chain.axes]
         self.points = [Ball.of(point) for point in chain.points_mm]
-        self.tip = Ball.of(chain.tip_mm)
+        self.tips = Ball.of(np.array([each.tip_mm for each in chains]))
         self.skews = [_skew(axis) for axis in self.axes]
         self._take_apart()
 
     def _take_apart(self) -> None:
         """The vectors that the joints turn, as short as they can be, and the runs of axes."""
         before: list[tuple[int, Ball, list[Ball]]] = []  # joint, fixed vector, slides by joint
-        last, knot = -1, Ball.of(np.zeros(3))
+        last, knot = -1, Ball.of(np.zeros((1, 3)))
         slides = [Ball.of(np.zeros(3)) for _ in range(self.n)]
         for i in range(self.n):
             if self.turns[i]:
                 before.append((last, self.points[i] - knot, slides))
                 slides = [Ball.of(np.zeros(3)) for _ in range(self.n)]
-                last, knot = i, self.points[i]
+                last, knot = i, self.points[i][None]
             else:
                 slides[i] = self.axes[i]
-        before.append((last, self.tip - knot, slides))
+        before.append((last, self.tips - knot, slides))
         for s in reversed(range(1, len(before))):
             joint, vector, slides = before[s]
             upper, base, base_slides = before[s - 1]
             axis = self.axes[joint]
-            along = axis * (vector * axis).sum(0)
+            along = axis * (vector * axis).sum(1)[:, None]
             slid = [axis * (slide * axis).sum(0) for slide in slides]
             before[s] = (joint, vector - along, [a - b for a, b in zip(slides, slid, strict=True)])
             moved = [a + b for a, b in zip(base_slides, slid, strict=True)]
@@ -76,99 +79,90 @@ class Arm:
         for run in {run for run in self.run if run >= 0}:
             members = [i for i in range(self.n) if self.run[i] == run]
             self.off[members] = 3.0 * len(members) * self.off[members].max()
+        # Column i adds up the angles of joint i's run as far as that joint.
+        same = np.equal.outer(self.run, self.run) & np.tri(self.n, dtype=bool).T
+        self.totals = np.where(same, self.sign[:, None], 0.0)
 
     def position(self, joints: Ball) -> Ball:
-        """Tip at joint values (batch, joints), shape (batch, 3)."""
-        point = self.tip + Ball.of(np.zeros((joints.shape[0], 3)))
-        for i in reversed(range(self.n)):
-            point = self._move(i, joints[:, i], point)
-        return point
+        """Tips at joint values (batch, joints), shape (batch, tips, 3)."""
+        return self.derivatives(joints)[0]
 
-    def _move(self, i: int, value: Ball, point: Ball) -> Ball:
-        if not self.turns[i]:
-            return point + value[:, None] * self.axes[i]
-        return self._rotate(i, value, point - self.points[i]) + self.points[i]
+    def derivatives(self, joints: Ball) -> tuple[Ball, Ball, Ball]:
+        """Tips, their first and second derivatives by the joints.
 
-    def _rotate(self, i: int, value: Ball, vector: Ball, order: int = 0) -> Ball:
-        """A vector under rotation i, or under the first or second derivative of it."""
-        once = vector @ self.skews[i].swap(0, 1)
-        twice = once @ self.skews[i].swap(0, 1)
-        sine, cosine = value.sin()[:, None], value.cos()[:, None]
-        if order == 0:
-            return vector + sine * once + (1.0 - cosine) * twice
-        if order == 1:
-            return cosine * once + sine * twice
-        return cosine * twice - sine * once
-
-    def derivatives(self, joints: Floats) -> tuple[Ball, Ball, Ball]:
-        """Tip, its first and second derivatives by the joints.
-
-        Shapes (batch, 3), (batch, joints, 3), (batch, joints, joints, 3). The chain's
-        transformations are multiplied from the tip, with one or two of them derived.
+        Shapes (batch, tips, 3), (batch, joints, tips, 3), (batch, joints, joints, tips, 3). The
+        chain's transformations are applied from the tip to the base, to everything that the joints
+        behind have made of it; the derivative of each is applied to what it may be derived with.
         """
-        q, n = Ball.of(joints), self.n
-        behind = [self.tip + Ball.of(np.zeros((len(joints), 3)))]
-        for i in reversed(range(n)):
-            behind.append(self._move(i, q[:, i], behind[-1]))
-        behind.reverse()  # behind[i]: the tip moved by the joints from i on
-        zero = Ball.of(np.zeros((len(joints), 3)))
-
-        def carry(vector: Ball, from_joint: int) -> Ball:
-            for k in reversed(range(from_joint)):
-                if self.turns[k]:
-                    vector = self._rotate(k, q[:, k], vector)
-            return vector
-
-        def derive(i: int, order: int) -> Ball:
-            if not self.turns[i]:
-                return self.axes[i] + zero if order == 1 else zero
-            return self._rotate(i, q[:, i], behind[i + 1] - self.points[i], order)
-
-        first: list[Ball] = []
+        n, (tips, _) = self.n, self.tips.shape
+        zero = Ball.of(np.zeros((joints.shape[0], tips, 3)))
+        tip, first = self.tips + zero, [zero] * n
         second = [[zero] * n for _ in range(n)]
-        for j in range(n):
-            first.append(carry(derive(j, 1), j))
-            second[j][j] = carry(derive(j, 2), j)
-            vector = derive(j, 1)
-            for i in reversed(range(j)):
-                if self.turns[i]:
-                    bent = self._rotate(i, q[:, i], vector, 1)
-                    second[i][j] = second[j][i] = carry(bent, i)
-                    vector = self._rotate(i, q[:, i], vector)
-        return behind[0], stack(first, 1), stack([stack(line, 1) for line in second], 1)
+        for i in reversed(range(n)):
+            if not self.turns[i]:
+                tip = tip + joints[:, i, None, None] * self.axes[i]
+                first[i] = zero + self.axes[i]
+                continue
+            later = range(i + 1, n)
+            pairs = [(j, k) for j in later for k in range(j, n)]
+            behind = [tip - self.points[i], *first[i + 1 :], *(second[j][k] for j, k in pairs)]
+            turned, bent, curved = self._rotate(i, joints[:, i], stack(behind, 1), 1 + len(later))
+            tip = turned[:, 0] + self.points[i]
+            for index, j in enumerate(later, 1):
+                first[j], second[i][j] = turned[:, index], bent[:, index]
+            for index, (j, k) in enumerate(pairs, n - i):
+                second[j][k] = turned[:, index]
+            first[i], second[i][i] = bent[:, 0], curved[:, 0]
+        for i in range(n):
+            for j in range(i):
+                second[i][j] = second[j][i]
+        return (
+            tip,
+            _grid(first, (n,), zero),
+            _grid([each for line in second for each in line], (n, n), zero),
+        )
 
-    def beyond(self, joints: Floats, straight: Terms, joints_rest: Floats) -> Floats:
-        """All that the second-order expansion in the linear part leaves out, at each corner.
+    def _rotate(self, i: int, value: Ball, vectors: Ball, derived: int) -> tuple[Ball, Ball, Ball]:
+        """Vectors (batch, vectors, tips, 3) under rotation i.
 
-        A change of the joints splits into the linear part v (taken at the corner) and a rest. With
-        S the sum over runs of parallel axes of |total angle|, and g the change of a vector's slide,
-        the k-th derivative of R u along a change is at most ``|u| S^k + k |g| S^(k-1)``. Left out
-        are: half the second derivative where the rest takes part, and a sixth of the third.
-        Where axes are only parallel to within f, S^k grows by at most ``((1 + f)^k - 1) T^k``, with
-        T = sum |angle|.
+        Of the first ones also under its first derivative, and of the very first under its second.
         """
-        signs = corners(straight.linear.shape[1])
-        at = Ball.of(signs) @ straight.linear  # (leaves, corners, joints)
-        alone, alone_rest = at.magnitude(), joints_rest[:, None]
-        fixed = Ball.of(joints)
-        total = np.zeros(at.shape[:2])
+        once = vectors @ self.skews[i].swap(0, 1)
+        twice = once @ self.skews[i].swap(0, 1)
+        sine, cosine = (f[:, None, None, None] for f in (value.sin(), value.cos()))
+        turned = vectors + sine * once + (1.0 - cosine) * twice
+        some = slice(derived)
+        bent = cosine * once[:, some] + sine * twice[:, some]
+        return turned, bent, cosine * twice[:, :1] - sine * once[:, :1]
+
+    def beyond(self, joints: Terms) -> Floats:
+        """All that the second-order expansion in the linear part leaves out.
+
+        Shape (leaves, corners, tips). A change of the joints splits into the linear part v (taken
+        at the corner) and a rest. With S the sum over runs of parallel axes of |total angle|, and g
+        the change of a vector's slide, the k-th derivative of R u along a change is at most
+        ``|u| S^k + k |g| S^(k-1)``. Left out are: half the second derivative where the rest takes
+        part, and a sixth of the third. Where axes are only parallel to within f, S^k grows by at
+        most ``((1 + f)^k - 1) T^k``, with T = sum |angle|.
+        """
+        rest = joints.rest()
+        d = joints.linear.shape[1]
+        # Opposite corners have opposite changes, and half of them stand before the middle.
+        at = Ball.of(corners(d)[: 2**d // 2]) @ joints.linear  # (leaves, half, joints)
+        alone, alone_rest = at.magnitude(), rest[:, None]
+        totals, totals_rest = (at @ self.totals).magnitude(), self._totals_rest(joints, rest)
+        fixed = Ball.of(joints.centre.mid)
+        total = np.zeros((*at.shape[:2], self.tips.shape[0]))
         for joint, vector, slides in self.segments:
             turning = [i for i in range(joint + 1) if self.turns[i]]
-            s, s_rest = np.zeros(at.shape[:2]), np.zeros(at.shape[:2])
-            for run in {self.run[i] for i in turning}:
-                weights = np.zeros(self.n)
-                members = [i for i in turning if self.run[i] == run]
-                weights[members] = self.sign[members]
-                s = up(s + (at @ weights[:, None])[:, :, 0].magnitude())
-                s_rest = up(s_rest + self._run_rest(straight, weights, joints_rest)[:, None])
-            t = sum_above(alone[:, :, turning], 2)
-            t_rest = sum_above(np.broadcast_to(alone_rest, alone.shape)[:, :, turning], 2)
+            last = list({self.run[i]: i for i in turning}.values())
+            s, s_rest = sum_above(totals[:, :, last], 2), sum_above(totals_rest[:, None, last], 2)
+            t, t_rest = sum_above(alone[:, :, turning], 2), sum_above(alone_rest[:, :, turning], 2)
             off = float(self.off[turning].max())
 
-            length = vector + sum(
-                (fixed[:, k, None] * slides[k] for k in range(self.n) if not self.turns[k]),
-                Ball.of(np.zeros((len(joints), 3))),
-            )
+            length = vector + Ball.of(np.zeros((len(fixed.mid), 1, 3)))
+            for k in (k for k in range(self.n) if not self.turns[k]):
+                length = length + (fixed[:, k, None] * slides[k])[:, None]
             u = norm_above(length.magnitude() ** 2)[:, None]
             reach = np.array([float(norm_above(slide.magnitude() ** 2)) for slide in slides])
             g, g_rest = (
@@ -178,17 +172,17 @@ class Arm:
             # Second order, the rest taking part: (v, rest) and half of (rest, rest).
             pair = up(s * s_rest + 3.0 * off * t * t_rest)
             square = up(s_rest * s_rest + 3.0 * off * t_rest * t_rest)
-            total = up(total + u * up(pair + 0.5 * square))
             whole, wide = up(s + s_rest), up(t + t_rest)
-            total = up(total + up(whole + off * wide) * g_rest + up(s_rest + off * t_rest) * g)
+            slid = up(up(whole + off * wide) * g_rest + up(s_rest + off * t_rest) * g)
             # Third order of the whole change.
             cube = up(whole * whole * whole + 4.0 * off * wide * wide * wide)
-            total = up(total + u * cube / 6.0)
-            total = up(total + 0.5 * up(g + g_rest) * up(whole * whole + 3.0 * off * wide * wide))
-        return total
+            turned = up(pair + 0.5 * square + cube / 6.0)
+            slid = up(slid + 0.5 * up(g + g_rest) * up(whole * whole + 3.0 * off * wide * wide))
+            total = up(total + u * turned[:, :, None] + slid[:, :, None])
+        return np.concatenate([total, total[:, ::-1]], axis=1)
 
     def farthest(self, joints: Floats, change: Floats, around: Ball, rows: list[int]) -> Floats:
-        """How far the tip can be from some positions, whatever the joints that turn.
+        """How far the first tip can be from some positions, whatever the joints that turn.
 
         What no joint turns is in one place, and the rest no farther from it than it is long.
 
@@ -199,8 +193,8 @@ class Arm:
             rows: Which coordinates these are.
         """
         total = np.zeros(len(joints))
-        for index, (_, vector, slides) in enumerate([self.base, *self.segments]):
-            held = vector + Ball.of(np.zeros((len(joints), 3)))
+        for index, (_, vectors, slides) in enumerate([self.base, *self.segments]):
+            held = vectors[0] + Ball.of(np.zeros((len(joints), 3)))
             for k in (k for k in range(self.n) if not self.turns[k]):
                 held = held + Ball.of(joints[:, k, None]) * slides[k]
                 total = up(total + up(change[:, k] * norm_above(slides[k].magnitude() ** 2)))
@@ -209,15 +203,23 @@ class Arm:
             total = up(total + norm_above(held.magnitude() ** 2))
         return total
 
-    def _run_rest(self, terms: Terms, weights: Floats, joints_rest: Floats) -> Floats:
-        """Bound of a run's total angle due to all that is not linear."""
-        line = weights[:, None]
-        noise = (terms.factor @ line)[:, :, 0].magnitude() * terms.size
-        bent = (terms.squares @ line)[:, :, 0].magnitude()
-        mixed = (terms.mixed @ line)[:, :, 0].magnitude()
-        centre = product_above(terms.centre.rad, np.abs(line))[:, 0]
-        together = up(sum_above(noise, 1) + sum_above(bent, 1) + sum_above(mixed, 1) + centre)
-        return np.minimum(together, product_above(joints_rest, np.abs(line))[:, 0])
+    def _totals_rest(self, terms: Terms, rest: Floats) -> Floats:
+        """Bounds of the runs' total angles due to all that is not linear, (leaves, joints)."""
+        noise = (terms.factor @ self.totals).magnitude() * terms.size[:, :, None]
+        bent, mixed = (
+            sum_above((part @ self.totals).magnitude(), 1) for part in (terms.squares, terms.mixed)
+        )
+        centre = product_above(terms.centre.rad, np.abs(self.totals))
+        together = up(sum_above(noise, 1) + bent + mixed + centre)
+        return np.minimum(together, product_above(rest, np.abs(self.totals)))
+
+
+def _grid(parts: list[Ball], shape: tuple[int, ...], zero: Ball) -> Ball:
+    """Balls of one shape (batch, ...) in an array (batch, *shape, ...), which may be empty."""
+    batch, *others = zero.shape
+    if not parts:
+        return Ball.of(np.zeros((batch, *shape, *others)))
+    return stack(parts, 1).reshape(batch, *shape, *others)
 
 
 def _unit(axis: Floats) -> Ball:

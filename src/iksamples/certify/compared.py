@@ -1,16 +1,20 @@
 """What a certificate is about: which vectors the arm carries, and what each is held against.
 
 For a position it is the tool centre point, held against inputs. An angle is one between unit
-vectors, so it is the position error of a chain that only turns: with
-``R(x) = Rz(yaw) Ry(pitch) Rx(roll) R_ref`` wanted and ``R(q)`` reached,
+vectors: with ``R(x) = Rz(yaw) Ry(pitch) Rx(roll) R_ref`` wanted and ``R(q)`` reached,
 
-    | Rx(-roll) Ry(-pitch) Rz(-yaw) R(q) e_k  -  R_ref e_k |
+    | R(q) e_k  -  R(x) e_k |
 
-is how far apart the tips of two tool axes are, and the inputs are further revolute joints in front
-of the arm's. Turns about parallel axes add up there before anything is bounded. For the tool's axis
-alone (k = z) this length is ``2 sin(angle / 2)``; over the three of them the root of the sum of the
-squares is the Frobenius norm of the difference of two rotations, ``2 sqrt(2) sin(angle / 2)``,
-which grows with the geodesic angle from 0 to pi (Huynh, *J. Math. Imaging Vis.* 35, 2009).
+is how far apart the tips of two tool axes are, each carried by a chain that only turns. For the
+tool's axis alone (k = z) this length is ``2 sin(angle / 2)``; over the three of them the root of
+the sum of the squares is the Frobenius norm of the difference of two rotations,
+``2 sqrt(2) sin(angle / 2)``, which grows with the geodesic angle from 0 to pi (Huynh, *J. Math.
+Imaging Vis.* 35, 2009).
+
+The length is the same where both are turned back by what is asked, which puts the inputs in front
+of the arm's joints. Turns about parallel axes add up there before anything is bounded, so that
+nothing is lost where all axes are parallel, as a SCARA's; elsewhere two short chains leave out less
+than one long one.
 """
 
 from dataclasses import dataclass, replace
@@ -27,6 +31,9 @@ from iksamples.errors import IksamplesError
 Floats = NDArray[np.float64]
 Measure = Literal["position", "angle"]
 
+PARALLEL = 1e-12
+"""Sine of the angle between two axes below which they count as parallel. What that leaves out
+drowns in the search's rounding slack, and the checker counts it."""
 LARGEST_ANGLE = float(np.nextafter(np.pi, 4.0))
 
 
@@ -39,8 +46,8 @@ class Compared:
         angles: The inputs whose opposites are the chain's first joints [rad].
         outputs: The network's outputs that are its other joints.
         rows: Which of the vector's coordinates count.
-        inputs: The inputs that they are held against; empty where it is ``wanted``.
-        wanted: What they are held against where it is no input, shape (rows,).
+        inputs: The inputs that they are held against, or that are the joints of ``goal``.
+        goal: What carries the vector that it is held against; None where the inputs are that.
     """
 
     chain: SerialChain
@@ -48,7 +55,7 @@ class Compared:
     outputs: tuple[int, ...]
     rows: tuple[int, ...]
     inputs: tuple[int, ...]
-    wanted: Floats
+    goal: SerialChain | None = None
 
     def behind(self) -> SerialChain:
         """The chain without the inputs in front.
@@ -100,33 +107,40 @@ def compared(
     if measure == "position":
         inputs = tuple(range(len(positions)))
         every = tuple(range(n_outputs))
-        return [Compared(chain, (), every, positions, inputs, np.zeros(len(positions)))]
+        return [Compared(chain, (), every, positions, inputs)]
     if target.orientation == "free":
         raise IksamplesError("nothing is asked of the tool's orientation, so it has no error.")
-    first = [k for k, name in enumerate(target.coordinates) if name in COORDINATES[3:]]
+    # The outermost turn first: about z, then y, then x.
+    asked = [k for k, name in enumerate(target.coordinates) if name in COORDINATES[3:]][::-1]
+    about = [np.eye(3)[COORDINATES.index(target.coordinates[k]) - 3] for k in asked]
     turning = [i for i, kind in enumerate(chain.joint_kinds) if kind == "revolute"]
-    axes = [np.eye(3)[COORDINATES.index(target.coordinates[k]) - 3] for k in first]
-    names = (*(target.coordinates[k] for k in first), *(chain.joint_names[i] for i in turning))
-    turns = SerialChain(
-        names,
-        tuple("revolute" for _ in names),
-        np.array([*axes, *chain.axes[turning]]).reshape(-1, 3),
-        np.zeros((len(names), 3)),
-        np.zeros(3),
-        np.full(len(names), -np.inf),
-        np.full(len(names), np.inf),
-    )
+    axes = [*about, *chain.axes[turning]]
+    parallel = bool(asked) and np.linalg.norm(np.cross(axes[0], axes), axis=1).max() <= PARALLEL
     return [
         Compared(
-            replace(turns, tip_mm=chain.tip_rotation[:, k]),
-            tuple(first),
+            _turns(axes if parallel else axes[len(asked) :], chain.tip_rotation[:, k]),
+            tuple(asked) if parallel else (),
             tuple(turning),
             (0, 1, 2),
-            (),
-            target.reference_rotation[:, k],
+            () if parallel else tuple(asked),
+            _turns([] if parallel else about, target.reference_rotation[:, k]),
         )
         for k in ((2,) if target.orientation == "axis" else (0, 1, 2))
     ]
+
+
+def _turns(axes: list[Floats], vector: Floats) -> SerialChain:
+    """A chain that turns a vector about axes through the origin."""
+    n = len(axes)
+    return SerialChain(
+        tuple(f"turn {i}" for i in range(n)),
+        tuple("revolute" for _ in axes),
+        np.array(axes).reshape(n, 3),
+        np.zeros((n, 3)),
+        vector,
+        np.full(n, -np.inf),
+        np.full(n, np.inf),
+    )
 
 
 def angle_rad(apart: Floats | float, vectors: int) -> Floats:

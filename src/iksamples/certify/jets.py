@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
+from iksamples.certify.compared import PARALLEL
+from iksamples.certify.enclosure import Expansion, half_of_corners, mirrored, pairs
 
 
 Floats = NDArray[np.float64]
-
-PARALLEL = 1e-12
-"""Sine of the angle between two axes below which they count as parallel. What that leaves out
-drowns in the rounding slack here, and the checker counts it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +217,65 @@ class Linkage:
         hessian *= np.triu(np.ones((n, n))) - 0.5 * np.eye(n)
         return arms[:, :, 0], jacobian, hessian
 
+    def second_order(
+        self, joints: Floats, linear: Floats, rows: list[int]
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """The tip over boxes whose joints are ``joints + linear s``, to second order.
+
+        Args:
+            joints: Joint values at the centres, shape (boxes, joints).
+            linear: What they change by along each edge, shape (boxes, d, joints).
+            rows: Which of the tip's coordinates.
+
+        Returns:
+            Constant, linear and quadratic part as in ``residual.Residual``; the derivative by the
+            joints, shape (boxes, joints, rows).
+        """
+        d = linear.shape[1]
+        first, second = pairs(d)
+        position, jacobian, hessian = self.jets(joints)
+        if rows != [0, 1, 2]:
+            position, jacobian, hessian = position[rows], jacobian[rows], hessian[rows]
+        # The jets leave the axis of the coordinates in front, the polynomials have it last.
+        gradient = jacobian.transpose(1, 2, 0)
+        bent = (linear @ (hessian @ linear.transpose(0, 2, 1))).transpose(1, 2, 3, 0)
+        quadratic = bent[:, first, second]
+        quadratic[:, d:] += bent[:, second[d:], first[d:]]
+        return position.T, linear @ gradient, quadratic, gradient
+
+    def left_out(self, joints: Expansion, edges: Floats) -> tuple[Floats, Floats]:
+        """What the second order leaves out at the corners, and which edges it is due to, roughly.
+
+        Args:
+            joints: The joints over the boxes.
+            edges: The boxes' edges, as shares of the region's, shape (boxes, d).
+
+        Returns:
+            Bounds [mm], shape (boxes, corners); shares of the largest of them, shape (boxes, d).
+        """
+        # Changes of the angles: the linear part corner by corner (opposite corners have opposite
+        # changes, so half of them do), everything else at its largest.
+        sums, half = self.angle_sums.T, half_of_corners(edges.shape[1])
+        added = joints.linear @ sums
+        turns = self.turns(np.abs(half @ added))
+        small_turns = self.turns(largest_bend(joints.quadratic, joints.noise, sums))[:, None]
+        lengths = self.lengths_mm(joints.centre)[:, None]
+        shifts: Floats | float = 0.0
+        small_shifts: Floats | float = 0.0
+        if self.slides_at_all:
+            shifts = self.shifts_mm(np.abs(half @ joints.linear))
+            small_shifts = self.shifts_mm(largest_bend(joints.quadratic, joints.noise))[:, None]
+        remainder = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
+        remainder += cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
+
+        # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
+        alone = self.turns(np.abs(added))
+        due = (alone * (lengths * alone.sum(axis=1, keepdims=True) ** 2)).sum(axis=2)
+        # Any edge may be to blame for what is not linear, so every edge is halved in the end.
+        due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
+        return mirrored(remainder), remainder.max(axis=1)[:, None] * due
+
     def vectors_at(self, joints: Floats) -> Floats:
         """Every ``u_s`` in the given pose, shape (batch or 1, joints + 1, 3)."""
         if not self.slides_at_all:
@@ -275,6 +332,15 @@ def bending_mm(
     turning = lengths_mm * (turns + 0.5 * small_turns) * small_turns
     sliding = (turns + small_turns) * small_shifts_mm + small_turns * shifts_mm
     return np.sum(turning + sliding, axis=-1)
+
+
+def largest_bend(quadratic: Floats, noise: Floats, matrix: Floats | None = None) -> Floats:
+    """Largest absolute value of everything that is not linear, shape (boxes, values)."""
+    total = np.zeros((len(noise), noise.shape[2]))
+    for rows in (quadratic, noise):
+        if rows.shape[1]:
+            total += np.abs(rows if matrix is None else rows @ matrix).sum(axis=1)
+    return total
 
 
 def _cross_matrix(axis: Floats) -> Floats:

@@ -17,11 +17,9 @@ from iksamples.certify.compared import Compared, Measure, angle_rad, compared, t
 from iksamples.certify.enclosure import (
     Expansion,
     corners,
-    half_of_corners,
-    mirrored,
     pairs,
 )
-from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
+from iksamples.certify.jets import Linkage, largest_bend
 from iksamples.certify.layers import Layers
 from iksamples.certify.rounding import search_slack
 from iksamples.certify.table import Table
@@ -135,7 +133,7 @@ class ErrorOverBoxes:
         self.extent = region.upper_corner - region.lower_corner
         self.measure = measure
         self.vectors = [
-            _Carried(item, Linkage.of(item.chain))
+            _Carried(item, Linkage.of(item.chain), Linkage.of(item.goal) if item.goal else None)
             for item in compared(
                 chain, target or target_of(inputs), measure, inputs, self.answers.n_outputs
             )
@@ -229,6 +227,7 @@ class _Carried:
 
     item: Compared
     linkage: Linkage
+    goal: Linkage | None
 
     def behind(self) -> Linkage:
         """The chain without the inputs in front, taken apart."""
@@ -240,7 +239,8 @@ class _Carried:
         if item.angles or len(item.outputs) < joints.shape[1]:
             joints = np.concatenate([-points[:, item.angles], joints[:, item.outputs]], axis=1)
         reached = self.linkage.position_mm(joints)[:, item.rows]
-        return reached - (points[:, item.inputs] if item.inputs else item.wanted)
+        wanted = points[:, item.inputs]
+        return reached - (self.goal.position_mm(wanted) if self.goal else wanted)
 
     def driven(self, joints: Expansion, centre: Floats, radius: Floats) -> Expansion:
         """The chain's joints over boxes: the opposites of some inputs, then some outputs."""
@@ -279,56 +279,35 @@ class _Carried:
             edges: Those as shares of the region's, shape (boxes, d).
             blur: How far rounding may put the tip off.
         """
-        d = centre.shape[1]
-        first, second = pairs(d)
-        position, jacobian, hessian = self.linkage.jets(joints.centre)
         rows, inputs = list(self.item.rows), list(self.item.inputs)
-        if rows != [0, 1, 2]:
-            position, jacobian, hessian = position[rows], jacobian[rows], hessian[rows]
-
-        # The jets leave the axis of the coordinates in front, the polynomials have it last.
-        gradient = jacobian.transpose(1, 2, 0)
-        middle, linear = position.T, joints.linear @ gradient
-        if inputs:
-            middle = middle - centre[:, inputs]
-            linear[:, inputs, range(len(inputs))] -= radius[:, inputs]
-        else:
-            middle = middle - self.item.wanted
-        across = joints.linear.transpose(0, 2, 1)
-        bent = (joints.linear @ (hessian @ across)).transpose(1, 2, 3, 0)
-        quadratic = bent[:, first, second]
-        quadratic[:, d:] += bent[:, second[d:], first[d:]]
+        straight = joints.centre, joints.linear
+        middle, linear, quadratic, gradient = self.linkage.second_order(*straight, rows)
         if joints.quadratic.shape[1]:
             quadratic += joints.quadratic @ gradient
         noise = joints.noise @ gradient
-        bends = np.abs(quadratic).sum(axis=2)
-        weight = (joints.shares @ np.abs(noise).sum(axis=2)[:, :, None])[:, :, 0]
-        weight += bends @ _axes_of_pairs(d)
+        remainder, blame = self.linkage.left_out(joints, edges)
 
-        # Changes of the angles: the linear part corner by corner (opposite corners have opposite
-        # changes, so half of them do), everything else at its largest.
-        sums = self.linkage.angle_sums.T
-        turns = self.linkage.turns(np.abs(half_of_corners(d) @ (joints.linear @ sums)))
-        small_turns = self.linkage.turns(_largest(joints.quadratic, joints.noise, sums))[:, None]
-        lengths = self.linkage.lengths_mm(joints.centre)[:, None]
-        shifts: Floats | float = 0.0
-        small_shifts: Floats | float = 0.0
-        if self.linkage.slides_at_all:
-            shifts = self.linkage.shifts_mm(np.abs(half_of_corners(d) @ joints.linear))
-            small_shifts = self.linkage.shifts_mm(_largest(joints.quadratic, joints.noise))[:, None]
-        remainder = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
-        remainder += cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
-        weight += self._blame(joints.linear, lengths, remainder, edges)
+        asked, along = centre[:, inputs], np.zeros((*radius.shape, len(inputs)))
+        along[:, inputs, range(len(inputs))] = radius[:, inputs]
+        if self.goal:
+            exact = np.zeros((len(asked), 0, len(inputs)))
+            goal = replace(joints, centre=asked, linear=along, quadratic=exact, noise=exact)
+            asked, along, bent, _ = self.goal.second_order(asked, along, rows)
+            quadratic -= bent
+            beyond, due = self.goal.left_out(goal, edges)
+            remainder, blame = remainder + beyond, blame + due
+        weight = (joints.shares @ np.abs(noise).sum(axis=2)[:, :, None])[:, :, 0]
+        weight += np.abs(quadratic).sum(axis=2) @ _axes_of_pairs(radius.shape[1])
         return Residual(
-            middle,
-            linear,
+            middle - asked,
+            linear - along,
             quadratic,
             noise,
             joints.reach,
             joints.one_sided,
-            mirrored(remainder),
+            remainder,
             self._most_mm(joints, centre, radius) + blur,
-            weight,
+            weight + blame,
         )
 
     def _most_mm(self, joints: Expansion, centre: Floats, radius: Floats) -> Floats:
@@ -339,31 +318,20 @@ class _Carried:
         """
         item, linkage = self.item, self.linkage
         vectors = linkage.vectors_at(joints.centre)
-        fixed, goal = vectors[:, 0, list(item.rows)], item.wanted[None]
-        wide: Floats | float = 0.0
-        if item.inputs:
-            goal, wide = centre[:, list(item.inputs)], radius[:, list(item.inputs)]
+        fixed = vectors[:, 0, list(item.rows)]
+        goal, wide = centre[:, list(item.inputs)], radius[:, list(item.inputs)]
+        turned = np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
+        if self.goal:
+            goal, wide = self.goal.vectors_mm[:1], np.zeros(3)
+            turned = turned + np.linalg.norm(self.goal.vectors_mm[1:], axis=1).sum()
         apart = np.abs(fixed - goal) + wide + 1e-12 * (np.abs(fixed) + np.abs(goal))
-        most = np.sqrt(np.einsum("bk,bk->b", apart, apart))
-        most = most + np.linalg.norm(vectors[:, 1:], axis=2).sum(axis=1)
+        most = np.sqrt(np.einsum("bk,bk->b", apart, apart)) + turned
         if linkage.slides_at_all:
-            change = np.abs(joints.linear).sum(axis=1) + _largest(joints.quadratic, joints.noise)
+            change = np.abs(joints.linear).sum(axis=1)
+            change += largest_bend(joints.quadratic, joints.noise)
             most = most + change @ np.linalg.norm(linkage.slides, axis=2).sum(axis=0)
         most = np.broadcast_to(most, (len(centre),))
         return np.where(np.isnan(most), np.inf, most * (1.0 + 1e-12))
-
-    def _blame(
-        self, linear: Floats, lengths_mm: Floats, remainder_mm: Floats, edges: Floats
-    ) -> Floats:
-        """Which edges the remainder is due to, roughly, shape (boxes, d)."""
-        # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
-        turns = self.linkage.turns(np.abs(linear @ self.linkage.angle_sums.T))
-        whole = turns.sum(axis=1, keepdims=True)
-        due = (turns * (lengths_mm * whole**2)).sum(axis=2)
-        # Any edge may be to blame for what is not linear, so every edge is halved in the end.
-        due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-        due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
-        return remainder_mm.max(axis=1)[:, None] * due
 
 
 @lru_cache(maxsize=16)
@@ -379,12 +347,3 @@ def _axes_of_pairs(d: int) -> Floats:
     """The axes that each of ``pairs(d)`` is made of, half each, shape (pairs, d)."""
     first, second = pairs(d)
     return 0.5 * (np.eye(d)[first] + np.eye(d)[second])
-
-
-def _largest(quadratic: Floats, noise: Floats, matrix: Floats | None = None) -> Floats:
-    """Largest absolute value of everything that is not linear, shape (boxes, values)."""
-    total = np.zeros((len(noise), noise.shape[2]))
-    for rows in (quadratic, noise):
-        if rows.shape[1]:
-            total += np.abs(rows if matrix is None else rows @ matrix).sum(axis=1)
-    return total

@@ -209,7 +209,7 @@ def rounding_mm(
         simply = np.sum(linkage.levers_mm(ranges) * error[:, joints], axis=1)
         if arm_too:
             size = linkage.reach_mm(ranges) + ends.max(axis=1)
-            total = simply + 32.0 * linkage.n_joints * form.unit * size
+            total = simply + 32.0 * max(linkage.n_joints, 1) * form.unit * size
         else:
             along, beside = np.zeros((*middle.shape, 3)), np.zeros(middle.shape)
             along[:, joints], beside[:, joints] = _arm_slope(
