@@ -19,21 +19,18 @@ from iksamples.answer.collect import FILE as RUNS_FILE
 from iksamples.answer.collect import read_runs
 from iksamples.answer.outcomes import outcomes
 from iksamples.certify.printing import rounded_up
-from iksamples.certify.readers.network import load_network
-from iksamples.certify.readers.proved import prove
-from iksamples.certify.readers.units import fed_as, read_as
+from iksamples.certify.readers.layers import fed_as, read_as
+from iksamples.certify.readers.network import load_network, prove
 from iksamples.columns import RUNS
 from iksamples.errors import IksamplesError
-from iksamples.export.c_source import c_source
-from iksamples.export.choose import choose
-from iksamples.export.logged import log_network
-from iksamples.export.plain import plain_network
-from iksamples.export.write import export
+from iksamples.export.forms import c_source, plain_network
+from iksamples.export.write import choose, export
 from iksamples.network import StackedMLP
 from iksamples.results import cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import parse_study
 from iksamples.task import Space, study_task
+from iksamples.tracking.track import log_network
 
 
 SEEDS = (3, 4, 5)

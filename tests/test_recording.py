@@ -23,8 +23,8 @@ from iksamples.evaluation.paths import waypoints
 from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
-from iksamples.recording.colours import blues
 from iksamples.recording.record import record_path
+from iksamples.recording.shown import blues
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, parse_study

@@ -19,10 +19,9 @@ from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
 from iksamples.files import kept_file
-from iksamples.report import provenance
+from iksamples.report import run
 from iksamples.report.data import ReportData, read_report_data
-from iksamples.report.front import write_front_page
-from iksamples.report.write import write_report
+from iksamples.report.write import write_front_page, write_report
 from iksamples.results import cells
 from iksamples.study import Study
 from iksamples.task import study_chain
@@ -239,8 +238,8 @@ def test_the_readme_is_the_pages_text(project: Path, page: html.HtmlElement) -> 
 def test_the_readme_has_the_same_bytes_when_built_again(
     data: ReportData, project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(provenance, "machine", lambda: "another machine")
-    monkeypatch.setattr(provenance, "commit", lambda: "another commit")
+    monkeypatch.setattr(run, "machine", lambda: "another machine")
+    monkeypatch.setattr(run, "commit", lambda: "another commit")
     write_report(data.study, "results/small", "again/small")
     one, other = project / "reports/small", project / "again/small"
     names = ["README.md", *(f"figures/{one.name}" for one in (one / "figures").iterdir())]

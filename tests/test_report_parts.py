@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lxml import html
 from markupsafe import Markup
 
-from iksamples.report import markdown, style
+from iksamples.report import figures, markdown
 from iksamples.report.data import read_benchmarks
 from iksamples.report.figures import lines
 from iksamples.report.run import differing
@@ -135,7 +135,7 @@ def test_lines_are_medians_with_the_middle_half(rng: np.random.Generator) -> Non
     assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
     assert set(tips) == {"marks-0-0", "marks-0-1", "marks-1-0", "marks-1-1"}
     assert all(len(one) == 27 for one in tips.values())
-    svg = style.svg(figure, "name", "words", tips)
+    svg = figures.svg(figure, "name", "words", tips)
     assert svg.count("data-tip") == 4 * 27
     assert svg.count('id="name-') == len(re.findall(r'\bid="', svg))
 

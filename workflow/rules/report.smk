@@ -41,7 +41,7 @@ rule report:
         study="results/{study}/study.json",
         arm=ARM,
         settings=settings(),
-        code=source_digest("iksamples.report.write", "iksamples.report.front"),
+        code=source_digest("iksamples.report.write"),
         results=results_folder,
         folder=subpath(output.html, parent=True),
         command=typed_command,

@@ -155,9 +155,8 @@ def certify(
     with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
     """
     from iksamples.arm.load import load_arm
-    from iksamples.certify.readers.network import load_network
-    from iksamples.certify.readers.proved import float32_in_words, prove
-    from iksamples.certify.readers.units import fed_as, read_as
+    from iksamples.certify.readers.layers import fed_as, read_as
+    from iksamples.certify.readers.network import float32_in_words, load_network, prove
 
     region = _box(box)
     target = _target(region.n_inputs, inputs, orientation, reference_rpy_rad)

@@ -42,8 +42,7 @@ def export(
 ) -> None:
     """Write a trained network as ONNX and as C, and a certificate of it beside them."""
     from iksamples.answer.answer import newest
-    from iksamples.export.choose import choose
-    from iksamples.export.write import C_FILE, CERTIFICATE, ONNX_FILE
+    from iksamples.export.write import C_FILE, CERTIFICATE, ONNX_FILE, choose
     from iksamples.export.write import export as write
 
     choice = choose(results or newest("results"), method, samples, seed)

@@ -68,8 +68,8 @@ def report(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
 ) -> None:
     """Say which of the paper's words must be wrong for its Table 1 to come out."""
-    from iksamples.report.front import write_front_page
     from iksamples.report.readings import write_page
+    from iksamples.report.write import write_front_page
     from iksamples.study import read_study
 
     write_page(read_study(study_file), results, output)

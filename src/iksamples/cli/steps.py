@@ -306,8 +306,7 @@ def report(
     ] = "snakemake --cores 2",
 ) -> None:
     """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
-    from iksamples.report.front import write_front_page
-    from iksamples.report.write import write_report
+    from iksamples.report.write import write_front_page, write_report
     from iksamples.study import read_study
 
     write_report(read_study(study_file), results, output, command)

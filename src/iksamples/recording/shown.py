@@ -1,16 +1,25 @@
-"""What a recording shows of one grid: the network of one seed, on one path."""
+"""What a recording shows of a grid: the network of one seed on one path, what is proved of it."""
 
 from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from iksamples.arm.chain import Floats
+from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Tracking, send
 from iksamples.evaluation.shown import median_seed, networks_over_epochs
+from iksamples.files import checked
 from iksamples.results import Cell
 from iksamples.task import Task
+
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,3 +96,216 @@ def read_grid(task: Task, path_name: str, cell: Cell) -> ShownGrid:
         epochs=epochs,
         learning=send(networks, task, target),
     )
+
+
+Colour = tuple[int, int, int]
+
+RED: Colour = (214, 39, 40)
+BLACK: Colour = (0, 0, 0)
+GREY: Colour = (150, 150, 150)
+ORANGE: Colour = (214, 110, 10)
+_LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
+
+
+def blues(n: int) -> list[Colour]:
+    """Colours of n grids, from few samples (light) to many (dark)."""
+    shades = _LIGHT_BLUE + np.linspace(0, 1, n)[:, None] * (_DARK_BLUE - _LIGHT_BLUE)
+    return [(int(red), int(green), int(blue)) for red, green, blue in shades]
+
+
+ENTITY = "proof"
+"""Everything in 3D about the proof is below this entity."""
+_GLASS = 25  # opacity of a box, of 255: several lie behind each other
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What is proved of one network.
+
+    Attributes:
+        lower_mm: Lower corners of boxes in which the error is above the tolerance [mm], (boxes, 3).
+        upper_mm: Their upper corners [mm], shape (boxes, 3).
+        tolerance_mm: The tolerance [mm].
+        safe: Least and largest share of the workspace that can be under the tolerance.
+        drawn: The boxes' share of the workspace.
+        epochs: Epochs at which the network was kept, shape (epochs,).
+        sup_mm: Its certified worst case then [mm], shape (epochs,).
+        worst_mm: Where the trained network's error is largest [mm], shape (3,), if known.
+        worst_error_mm: The error that is taken there [mm].
+    """
+
+    lower_mm: Floats
+    upper_mm: Floats
+    tolerance_mm: float
+    safe: tuple[float, float]
+    drawn: float
+    epochs: NDArray[np.int64]
+    sup_mm: Floats
+    worst_mm: Floats | None
+    worst_error_mm: float
+
+
+def read_proof(task: Task, cell: Cell, seed: int) -> Proof | None:
+    """Reads what is proved of one network; None where that was not worked out.
+
+    Args:
+        task: The study's task.
+        cell: The grid's results.
+        seed: Which network.
+    """
+    found = [cell.folder / f"{name}.parquet" for name in ("unsafe", "training_bound")]
+    if not all(file.exists() for file in found):
+        return None
+    unsafe, training = (_of_seed(cell.table(file.stem), seed) for file in found)
+    if unsafe.empty or training.empty:
+        return None
+    head = unsafe.iloc[0]
+    lower, upper = (
+        task.positions_mm(unsafe[task.x.columns(f"{end}_")].dropna().to_numpy(float))
+        for end in ("lower", "upper")
+    )
+    worst_mm, worst_error_mm = _worst_point(task, cell, seed)
+    return Proof(
+        lower,
+        upper,
+        float(head["tolerance_mm"]),
+        (float(head["safe_lower"]), float(head["safe_upper"])),
+        float(head["drawn"]),
+        training["epoch"].to_numpy(np.int64),
+        training["sup_upper_mm"].to_numpy(float),
+        worst_mm,
+        worst_error_mm,
+    )
+
+
+def log_proof(
+    recording: rr.RecordingStream, proof: Proof, n_samples: int, timeline: str, curves: str
+) -> None:
+    """Logs the boxes, the worst point, and the worst case over the training.
+
+    Args:
+        recording: Where to.
+        proof: What is proved.
+        n_samples: Training points of the network, for the curve's name.
+        timeline: Timeline of the training.
+        curves: Entity below which the timeline's curves are.
+    """
+    if len(proof.lower_mm):
+        recording.log(
+            f"{ENTITY}/above_tolerance",
+            rr.Boxes3D(
+                mins=proof.lower_mm / MM_PER_M,
+                sizes=(proof.upper_mm - proof.lower_mm) / MM_PER_M,
+                colors=ORANGE,
+                radii=rr.Radius.ui_points(0.3),
+                fill_mode="majorwireframe",
+            ),
+            static=True,
+        )
+        # The viewer fills translucent boxes with grey; a mesh keeps its colour.
+        recording.log(f"{ENTITY}/above_tolerance/fill", _glass(proof), static=True)
+    if proof.worst_mm is not None:
+        recording.log(
+            f"{ENTITY}/worst_point",
+            rr.Points3D(
+                proof.worst_mm[None] / MM_PER_M,
+                colors=RED,
+                radii=rr.Radius.ui_points(9.0),
+                labels=f"{proof.worst_error_mm:.2f} mm",
+                show_labels=True,
+            ),
+            static=True,
+        )
+    curve = f"{curves}/worst_case"
+    name = f"worst case proved, {n_samples} samples"
+    recording.log(curve, rr.SeriesLines(names=name, colors=ORANGE, widths=2.0), static=True)
+    recording.send_columns(
+        curve,
+        [rr.TimeColumn(timeline, sequence=proof.epochs)],
+        rr.Scalars.columns(scalars=proof.sup_mm),
+    )
+
+
+def proof_view(
+    proof: Proof,
+    label: str,
+    background: tuple[int, int, int],
+    spatial_information: rrb.SpatialInformation,
+    eye: rrb.EyeControls3D,
+) -> rrb.Spatial3DView:
+    """The workspace with the boxes, the path and the worst point.
+
+    Args:
+        proof: What is proved.
+        label: The grid whose network it is about.
+        background: Colour behind the scene.
+        spatial_information: Frame of the scene.
+        eye: From where it is seen.
+    """
+    contents = ["workspace", "path/target", f"path/reached/{label}", f"{ENTITY}/**"]
+    return rrb.Spatial3DView(
+        origin="/",
+        contents=[f"+ /{entity}" for entity in contents],
+        name=f"Error above {proof.tolerance_mm:g} mm",
+        background=background,
+        spatial_information=spatial_information,
+        eye_controls=eye,
+    )
+
+
+def proof_text(proof: Proof, n_samples: int) -> str:
+    """What the text panel says of it (Markdown)."""
+    least, most = (100 * share for share in proof.safe)
+    lines = [
+        f"Proved for the network of {n_samples} samples that moves the arm, for every point of the "
+        f"workspace and not only for points tested: between {least:.1f} % and {most:.1f} % of the "
+        f"workspace has an error of at most {proof.tolerance_mm:g} mm."
+    ]
+    if len(proof.lower_mm):
+        lines.append(
+            "In the **orange** boxes of the third tab the error is larger everywhere; they fill "
+            f"{100 * proof.drawn:.1f} % of the workspace, smaller ones are left out."
+        )
+    if proof.worst_mm is not None:
+        x, y, z = proof.worst_mm
+        lines.append(
+            f"The **red** dot there is the worst point, ({x:.1f}, {y:.1f}, {z:.1f}) mm, with "
+            f"{proof.worst_error_mm:.2f} mm."
+        )
+    lines.append("The orange curve over the epochs bounds the error of any point.")
+    return "\n".join(lines)
+
+
+def _glass(proof: Proof) -> rr.Mesh3D:
+    """The boxes' faces as one translucent mesh."""
+    corner = np.array(list(product((0, 1), repeat=3)))
+    size = proof.upper_mm - proof.lower_mm
+    vertices = proof.lower_mm[:, None] + corner * size[:, None]
+    # Corner number is 4 x + 2 y + z; each face as two triangles.
+    faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    triangles = np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+    first = 8 * np.arange(len(size))
+    return rr.Mesh3D(
+        vertex_positions=vertices.reshape(-1, 3) / MM_PER_M,
+        triangle_indices=(first[:, None, None] + triangles).reshape(-1, 3),
+        albedo_factor=(*ORANGE, _GLASS),
+    )
+
+
+def _of_seed(table: "pd.DataFrame", seed: int) -> "pd.DataFrame":
+    return table[table["seed"] == seed]
+
+
+def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, float]:
+    """Where the largest known error is, and how large it is."""
+    import pandas as pd
+
+    file = cell.folder.parent / "certificates.csv"
+    if not file.exists():
+        return None, float("nan")
+    table = pd.read_csv(checked(file))
+    rows = table[(table["label"] == cell.label) & (table["seed"] == seed)]
+    if rows.empty:
+        return None, float("nan")
+    at = rows[task.x.columns("argmax_")].to_numpy(float)[0]
+    return task.positions_mm(at), float(rows["sup_lower_mm"].iloc[0])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from iksamples.report import figures, style, views
+from iksamples.report import figures, views
 from iksamples.report.data import ReportData
 from iksamples.report.markdown import code, objects, plus_minus
 from iksamples.study import NETWORK
@@ -89,9 +89,9 @@ def worst(data: ReportData) -> dict[str, Any]:
         }.items()
     )
     looks = {
-        "proved: worst error, at most": {"color": style.NETWORK, "lw": 1.9},
-        "measured: largest error": {"color": style.MUTED, "ls": ":"},
-        "proved: mean error, at most": {"color": style.VALIDATION},
+        "proved: worst error, at most": {"color": figures.NETWORK, "lw": 1.9},
+        "measured: largest error": {"color": figures.MUTED, "ls": ":"},
+        "proved: mean error, at most": {"color": figures.VALIDATION},
     }
     complete = proofs["complete"].astype(bool)
     gap = (proofs["sup_upper_mm"] / proofs["sup_lower_mm"])[complete].max() - 1
@@ -191,7 +191,7 @@ def _training_drawing(history: pd.DataFrame) -> figures.Drawing:
         history.assign(line=line, loss=history[column]) for line, column in columns.items()
     )
     long["panel"] = long["n_samples"].astype(str) + " samples"
-    looks = {"training": {"color": style.NETWORK}, "validation": {"color": style.VALIDATION}}
+    looks = {"training": {"color": figures.NETWORK}, "validation": {"color": figures.VALIDATION}}
     return figures.lines(
         long.sort_values("n_samples", kind="stable"),
         "epoch", "loss", looks, "epoch", "loss [rad²]", panel="panel", linear="x",
@@ -206,9 +206,9 @@ def _epochs_drawing(bounds: pd.DataFrame) -> figures.Drawing | None:
     few = sorted({sizes[0], sizes[len(sizes) // 2], sizes[-1]})
     rows = bounds[bounds["n_samples"].isin(few) & (bounds["epoch"] > 0)]
     looks = {
-        "worst error over the workspace, proved": {"color": style.NETWORK, "lw": 3},
-        "largest error at a sample": {"color": style.SAMPLE, "lw": 1},
-        "mean error at the samples": {"color": style.SAMPLE, "lw": 1.2, "ls": ":"},
+        "worst error over the workspace, proved": {"color": figures.NETWORK, "lw": 3},
+        "largest error at a sample": {"color": figures.SAMPLE, "lw": 1},
+        "mean error at the samples": {"color": figures.SAMPLE, "lw": 1.2, "ls": ":"},
     }
     columns = ("sup_upper_mm", "training_max_mm", "training_mean_mm")
     long = pd.concat(

@@ -9,7 +9,7 @@ from iksamples.files import checked
 from iksamples.paper.audit import scale_mm
 from iksamples.paper.evidence import AVERAGE_NAMES
 from iksamples.paper.table import kept_reading
-from iksamples.report import style
+from iksamples.report import figures
 from iksamples.report.data import ReportData
 from iksamples.report.figures import lines
 from iksamples.report.markdown import plus_minus
@@ -101,7 +101,10 @@ def _beside(data: ReportData, table: pd.DataFrame) -> Any:
     rows = data.runs[data.runs["label"].isin(data.cells) & (data.runs["method"] == "network")]
     rows = rows[rows["region"] == data.first_path]
     here = pd.DataFrame({"line": "here", "n": rows["n_samples"], "mm": rows["error_mean_mm"]})
-    looks = {"here": {"color": style.NETWORK, "lw": 1.9}, "the paper, Table 1": style.PAPER_LINE}
+    looks = {
+        "here": {"color": figures.NETWORK, "lw": 1.9},
+        "the paper, Table 1": figures.PAPER_LINE,
+    }
     long = pd.concat([here.assign(low=np.nan, high=np.nan), _of_the_paper(table, 1.0)])
     return lines(long, "n", "mm", looks, _N, _ERROR)
 
@@ -120,14 +123,14 @@ def _of_the_paper(table: pd.DataFrame, scale: "float | pd.Series[float]") -> pd.
 
 
 def _estimate(table: pd.DataFrame, bounds: pd.DataFrame, chosen: str) -> Any:
-    looks: dict[str, Any] = {"measured": {"color": style.NETWORK, "lw": 1.9}}
+    looks: dict[str, Any] = {"measured": {"color": figures.NETWORK, "lw": 1.9}}
     frames = [_line("measured", table["n_samples"], table["error_mean_mm"])]
     for key, words in AVERAGE_NAMES.items():
         means = bounds.groupby("n_samples")[f"estimate_{key}_mm"].mean()
         frames.append(_line(words, means.index, means))
         looks[words] = _average_look(key, chosen)
     frames.append(_line("the paper's column", table["n_samples"], table["paper_estimate_mm"]))
-    looks["the paper's column"] = style.PAPER_LINE
+    looks["the paper's column"] = figures.PAPER_LINE
     return lines(pd.concat(frames), "n", "y", looks, _N, "error, estimate [mm]")
 
 
@@ -143,7 +146,7 @@ def _exceeded(bounds: pd.DataFrame, chosen: str) -> Any:
 
 def _average_look(key: str, chosen: str) -> dict[str, Any]:
     dashes = dict(zip(AVERAGE_NAMES, ("-", "--", "-.", ":"), strict=True))
-    return {"color": style.ESTIMATE, "ls": dashes[key], "lw": 2.2 if key == chosen else 1.1}
+    return {"color": figures.ESTIMATE, "ls": dashes[key], "lw": 2.2 if key == chosen else 1.1}
 
 
 def _line(name: str, n: Any, y: Any) -> pd.DataFrame:
@@ -175,5 +178,8 @@ def _over_spacing(data: ReportData, table: pd.DataFrame) -> Any:
     long = pd.concat(
         [here.assign(low=np.nan, high=np.nan), _of_the_paper(table, table["spacing_mm"])]
     )
-    looks = {"here": {"color": style.NETWORK, "lw": 1.9}, "the paper, Table 1": style.PAPER_LINE}
+    looks = {
+        "here": {"color": figures.NETWORK, "lw": 1.9},
+        "the paper, Table 1": figures.PAPER_LINE,
+    }
     return lines(long, "n", "mm", looks, _N, "error over spacing, e/d", linear="y")

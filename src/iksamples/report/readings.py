@@ -9,7 +9,7 @@ import pandas as pd
 from iksamples.paper.options import QUESTIONS
 from iksamples.paper.readings import DENIABLE, FRESH_SEED, rank, read_parts
 from iksamples.paper.table import paper_table
-from iksamples.report import markdown, style
+from iksamples.report import figures, markdown
 from iksamples.report.figures import lines
 from iksamples.report.write import Pictures, page, save, text_environment
 from iksamples.study import Study
@@ -165,9 +165,9 @@ def _drawing(nearest: "pd.Series[Any]", letter: "pd.Series[Any]") -> "Drawing":
             pd.DataFrame({"line": name, "n": n, "mm": error, "low": error, "high": error})
         )
     looks = {
-        _NEAREST: {"color": style.NETWORK, "lw": 1.9},
-        _LETTER: {"color": style.COLOURS[0], "lw": 1.4},
-        _PAPER: style.PAPER_LINE,
+        _NEAREST: {"color": figures.NETWORK, "lw": 1.9},
+        _LETTER: {"color": figures.COLOURS[0], "lw": 1.4},
+        _PAPER: figures.PAPER_LINE,
     }
     return lines(
         pd.concat(frames), "n", "mm", looks, "number of samples", "mean position error [mm]"

@@ -1,4 +1,4 @@
-"""Pictures of the arm, of paths as they were drawn, and of where in the workspace errors are."""
+"""Pictures of the arm, of paths as drawn and of where errors are, and the view that turns."""
 
 from collections.abc import Sequence
 from itertools import combinations, product
@@ -9,9 +9,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.report import style
+from iksamples.report import figures
+from iksamples.report.data import ReportData
 from iksamples.report.markdown import mm
 
 
@@ -60,7 +62,7 @@ class Strokes:
         return np.insert(points, self.breaks, np.nan, axis=0)
 
 
-@style.styled
+@figures.styled
 def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
     """A path as networks draw it, seen along each axis of the workspace in turn.
 
@@ -72,7 +74,7 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
     # A pair of rows for each network, or two networks side by side where there is one pair.
     rows = -(-len(panels) * len(pairs) // 2)
     height = 0.75 + 3.55 * rows
-    figure, axes = style.panels(
+    figure, axes = figures.panels(
         rows,
         2,
         height,
@@ -96,7 +98,7 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
         for axis, (i, j) in zip(row, pairs, strict=True):
             seen = np.unique(samples[:, [i, j]].round(6), axis=0)
             axis.scatter(
-                seen[:, 0], seen[:, 1], s=12, color=style.SAMPLE, lw=0, label="samples", zorder=2
+                seen[:, 0], seen[:, 1], s=12, color=figures.SAMPLE, lw=0, label="samples", zorder=2
             )
             _path(axis, path, path.target[:, [i, j]], path.reached[:, [i, j]])
             axis.set_xlabel(_axis_title(names[i]))
@@ -110,7 +112,7 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
     return figure
 
 
-@style.styled
+@figures.styled
 def arm(
     chain: SerialChain, box: tuple[Floats, Floats], panels: Sequence[tuple[int, Strokes, Floats]]
 ) -> Figure:
@@ -121,7 +123,7 @@ def arm(
         box: Corners of the workspace [mm], a number per coordinate that is asked for.
         panels: For each: the number of samples, the path, and where the samples are [mm].
     """
-    figure, axes = style.panels(
+    figure, axes = figures.panels(
         1, len(panels), 3.9, left=0.01, right=0.99, bottom=0.09, top=0.93, wspace=0.02
     )
     corners = np.array(list(product(*np.transpose(box))))
@@ -135,17 +137,17 @@ def arm(
         worst = int(np.argmax(path.error))
         links = np.vstack([np.zeros((1, 3)), chain.skeleton_mm(path.joints[worst])])
         for edge in edges:
-            axis.plot(*_project(edge).T, color=style.RULE, lw=0.9, zorder=1)
-        axis.plot(*_project(links).T, color=style.MUTED, lw=5, solid_joinstyle="round", zorder=5)
+            axis.plot(*_project(edge).T, color=figures.RULE, lw=0.9, zorder=1)
+        axis.plot(*_project(links).T, color=figures.MUTED, lw=5, solid_joinstyle="round", zorder=5)
         knots = _project(links[:-1])
-        axis.plot(*knots.T, "o", color=style.PANEL, ms=5, mec=style.INK, mew=1, zorder=6)
+        axis.plot(*knots.T, "o", color=figures.PANEL, ms=5, mec=figures.INK, mew=1, zorder=6)
         target, reached = path.in_space(path.target), path.in_space(path.reached)
         _path(axis, path, _project(target), _project(reached))
         miss = _project(np.stack([target[worst], reached[worst]]))
-        axis.plot(*miss.T, color=style.INK, lw=1.2, label="largest error", zorder=9)
+        axis.plot(*miss.T, color=figures.INK, lw=1.2, label="largest error", zorder=9)
         if len(samples) <= _MOST_POINTS:
             points = _project(path.in_space(samples))
-            axis.plot(*points.T, ".", ms=3, color=style.SAMPLE, label="samples", zorder=4)
+            axis.plot(*points.T, ".", ms=3, color=figures.SAMPLE, label="samples", zorder=4)
         axis.set_title(
             f"{n} samples: mean error {mm(path.error.mean())}, here {mm(path.error.max())}",
             loc="center",
@@ -160,7 +162,7 @@ def arm(
     return figure
 
 
-@style.styled
+@figures.styled
 def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
     """The error on slices through the workspace, with the tolerance as a line.
 
@@ -171,7 +173,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
     """
     across, up = [str(name) for name in slices.filter(regex="_(mm|rad)$")][:2]
     titles = list(dict.fromkeys(slices["slice"]))
-    figure, axes = style.panels(
+    figure, axes = figures.panels(
         1, len(titles), 3.25, 9.2 if len(titles) > 1 else 4.6, sharey=True, wspace=0.12,
         left=0.08 if len(titles) > 1 else 0.16, right=0.93 if len(titles) > 1 else 0.86, top=0.9,
     )  # fmt: skip
@@ -182,7 +184,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
         where = grid.columns.to_numpy(float), grid.index.to_numpy(float), grid.to_numpy(float)
         filled = axis.contourf(*where, levels=levels, cmap="Blues")
         if np.nanmin(where[2]) < tolerance < np.nanmax(where[2]):
-            axis.contour(*where, levels=[tolerance], colors=style.TARGET, linewidths=1.2)
+            axis.contour(*where, levels=[tolerance], colors=figures.TARGET, linewidths=1.2)
         _worst(axis, rows.loc[rows["error_mm"].idxmax()], across, up, rows)
         axis.set_title(title)
         axis.set_xlabel(_axis_title(across))
@@ -198,7 +200,7 @@ def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
 def _worst(axis: Axes, at: "pd.Series[float]", across: str, up: str, rows: pd.DataFrame) -> None:
     """A slice's largest error, as a mark with its number."""
     right, high = (at[name] > rows[name].mean() for name in (across, up))
-    axis.plot(at[across], at[up], "o", ms=6, color=style.TARGET, mec="white", clip_on=False)
+    axis.plot(at[across], at[up], "o", ms=6, color=figures.TARGET, mec="white", clip_on=False)
     axis.annotate(
         mm(at["error_mm"], 1),
         (at[across], at[up]),
@@ -206,13 +208,13 @@ def _worst(axis: Axes, at: "pd.Series[float]", across: str, up: str, rows: pd.Da
         textcoords="offset points",
         ha="right" if right else "left",
         fontweight="bold",
-        bbox={"facecolor": style.PANEL, "edgecolor": "none", "pad": 1.5, "alpha": 0.85},
+        bbox={"facecolor": figures.PANEL, "edgecolor": "none", "pad": 1.5, "alpha": 0.85},
     )
 
 
 def _path(axis: Axes, path: Strokes, target: Floats, reached: Floats) -> None:
-    look: dict[str, Any] = {"color": style.NETWORK, "lw": 1.5, "ls": _DASHES, "zorder": 8}
-    axis.plot(*path.lifted(target).T, color=style.TARGET, lw=1.6, label="target", zorder=7)
+    look: dict[str, Any] = {"color": figures.NETWORK, "lw": 1.5, "ls": _DASHES, "zorder": 8}
+    axis.plot(*path.lifted(target).T, color=figures.TARGET, lw=1.6, label="target", zorder=7)
     axis.plot(*path.lifted(reached).T, label="reached", **look)
 
 
@@ -228,3 +230,100 @@ def _axis_title(column: str) -> str:
     """``x_mm`` as an axis has it: ``x [mm]``."""
     name, unit = column.rsplit("_", 1)
     return f"{name} [{unit}]"
+
+
+_MOST_WAYPOINTS = 300
+_BUDGET = 120_000
+"""Numbers of all polylines together, which keeps the page small."""
+
+
+def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict[str, object]:
+    """Workspace, paths, and for every set of samples its points, networks and arm poses.
+
+    Of each set and path the best, the median and the worst network (by mean error on the path) are
+    kept, thinned alike. Lengths in millimetres, positions flattened to x, y, z, x, y, z...
+
+    Args:
+        data: The report's data.
+        chain: The arm.
+        waypoints: Every waypoint of every network that did not diverge.
+    """
+    box = data.study.workspace
+    paths = list(data.study.evaluation.paths)
+    lines = len(data.cells) * len(paths) * 3 * (1 + chain.n_joints)
+    most = int(np.clip(_BUDGET // (3 * lines), 24, _MOST_WAYPOINTS))
+    first = waypoints[waypoints["label"] == next(iter(data.cells))]
+    drawn = [Strokes(_one(first, path, first["seed"].iloc[0])) for path in paths]
+    return {
+        "box": drawn[0].in_space(np.array([box.lower_mm, box.upper_mm])).tolist(),
+        "paths": [
+            {
+                "name": name,
+                "target": _flat(path.in_space(path.target[_keep(path, most)])),
+                "breaks": np.searchsorted(_keep(path, most), path.breaks).tolist(),
+            }
+            for name, path in zip(paths, drawn, strict=True)
+        ],
+        "grids": [_set(data, chain, waypoints, label, drawn[0], most) for label in data.cells],
+    }
+
+
+def _set(
+    data: ReportData,
+    chain: SerialChain,
+    waypoints: pd.DataFrame,
+    label: str,
+    first: Strokes,
+    most: int,
+) -> dict[str, object]:
+    points = first.in_space(data.samples_mm(label))
+    rows = waypoints[waypoints["label"] == label]
+    return {
+        "n": len(points),
+        "samples": _flat(points[:: -(-len(points) // _MOST_POINTS)]),
+        "runs": [_runs(chain, rows, path, most) for path in data.study.evaluation.paths],
+    }
+
+
+def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[dict[str, object]]:
+    mean = rows[rows["path"] == path].groupby("seed")["error_mm"].mean()
+    ranked = mean.sort_values(kind="stable").index
+    chosen = {"best": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "worst": ranked[-1]}
+    runs = []
+    for rank, seed in chosen.items():
+        track = Strokes(_one(rows, path, seed))
+        keep = _keep(track, most)
+        knots = chain.skeleton_mm(track.joints[keep])[:, :-1]
+        runs.append(
+            {
+                "rank": rank,
+                "seed": int(seed),
+                "mean": round(float(track.error.mean()), 3),
+                "max": round(float(track.error.max()), 3),
+                "reached": _flat(track.in_space(track.reached[keep])),
+                "error": _flat(track.error[keep]),
+                # A joint that never moves is sent once.
+                "knots": [
+                    _flat(knots[:, i] if np.ptp(knots[:, i], axis=0).max() > 1e-6 else knots[:1, i])
+                    for i in range(knots.shape[1])
+                ],
+            }
+        )
+    return runs
+
+
+def _one(rows: pd.DataFrame, path: str, seed: int) -> pd.DataFrame:
+    return rows[(rows["path"] == path) & (rows["seed"] == seed)]
+
+
+def _keep(track: Strokes, most: int) -> NDArray[np.int64]:
+    """Waypoints to show: evenly thinned, with the ends of every stroke."""
+    n = len(track.error)
+    if n <= most:
+        return np.arange(n)
+    ends = [edge for cut in track.breaks for edge in (cut - 1, cut)]
+    return np.union1d(np.linspace(0, n - 1, most).round().astype(int), np.array(ends, int))
+
+
+def _flat(lengths_mm: Floats) -> list[float]:
+    return [round(float(value), 2) for value in lengths_mm.ravel()]

@@ -1,4 +1,4 @@
-"""Writes the report: README.md with its pictures, and the same text as one page."""
+"""Writes the reports: README.md with its pictures, the same text as a page, the front page."""
 
 import base64
 import hashlib
@@ -10,9 +10,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from iksamples.report import answers, errors, markdown, paper, run, style
+from iksamples.files import whole_file
+from iksamples.report import answers, errors, figures, markdown, paper, run
 from iksamples.report.data import read_report_data
 from iksamples.report.figures import Drawing
+from iksamples.report.markdown import summary, to_html
 from iksamples.study import Study
 
 
@@ -38,14 +40,14 @@ class Pictures:
         """Writes every picture as a PNG."""
         folder.mkdir(parents=True)
         for name, (drawing, _) in self.drawn.items():
-            style.png(getattr(drawing, "figure", drawing), folder / f"{name}.png")
+            figures.png(getattr(drawing, "figure", drawing), folder / f"{name}.png")
 
     def inline(self) -> dict[str, str]:
         """Every picture as HTML, by the path that the text knows it by."""
         found = {}
         for name, (drawing, words) in self.drawn.items():
             figure, tips = drawing if isinstance(drawing, Drawing) else (drawing, {})
-            svg = style.svg(figure, f"figure-{name}", words, tips)
+            svg = figures.svg(figure, f"figure-{name}", words, tips)
             found[f"figures/{name}.png"] = f'<div class="drawing" id="figure-{name}">{svg}</div>\n'
         return found
 
@@ -183,3 +185,48 @@ def _viewer(scene: dict[str, object]) -> str:
     """The view that can be turned; ``<`` in its numbers would end the element."""
     text = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
     return html_environment().get_template("viewer.html.j2").render(scene=Markup(text))
+
+
+_KEPT = "kept-{}.html"
+
+
+def write_front_page(reports: str | Path, kept: str | Path) -> None:
+    """Writes ``index.html``, which has the question, answer and a picture of every study.
+
+    Args:
+        reports: Folder of all reports, such as ``reports``; one that was run here hides the one
+            that was kept.
+        kept: Folder of the studies that are kept as Markdown, such as ``docs/studies``; each
+            becomes a page, too.
+    """
+    reports, kept = Path(reports), Path(kept)
+    folders = {readme.parent.name: readme.parent for readme in sorted(kept.glob("*/README.md"))}
+    links = {name: _KEPT.format(name) for name in folders}
+    for built in sorted(reports.glob("*/README.md")):
+        folders[built.parent.name] = built.parent
+        links[built.parent.name] = f"{built.parent.name}/index.html"
+    studies = []
+    for name, folder in folders.items():
+        text = (folder / "README.md").read_text(encoding="utf-8")
+        pictures = {
+            f"figures/{file.name}": _inline(file) for file in sorted(folder.glob("figures/*.png"))
+        }
+        found = summary(text)
+        studies.append(found | {"link": links[name], "picture": pictures.get(found["picture"], "")})
+        if folder.parent == kept:
+            body = to_html(
+                text, {name: f'<div class="drawing">{one}</div>' for name, one in pictures.items()}
+            )
+            _write(reports / links[name], page(found["title"], body))
+    body = html_environment().get_template("front.html.j2").render(studies=studies)
+    _write(reports / "index.html", page(Markup("iksamples: studies"), body))
+
+
+def _inline(picture: Path) -> Markup:
+    data = base64.b64encode(picture.read_bytes()).decode()
+    return Markup(f'<img alt="{picture.stem}" src="data:image/png;base64,{data}">')
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as file:
+        file.write_text(text, encoding="utf-8")

@@ -17,7 +17,6 @@ import numpy as np
 from iksamples.answer.collect import WORKSPACE, Variant, variants
 from iksamples.files import checked
 from iksamples.paper.table import paper_table
-from iksamples.recording.colours import GREY
 from iksamples.results import Cell, networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
@@ -158,7 +157,7 @@ def _paper_run(study: Study) -> RunContent:
             (f"{path}/error_mean_mm", row["paper_error_mm"], int(row["n_samples"]))
             for row in table.to_dict("records")
         ],
-        colour="#{:02x}{:02x}{:02x}".format(*GREY),
+        colour="#969696",
     )
 
 

@@ -1,26 +1,36 @@
-"""Logs a study to MLflow: the one process that writes to the tracking store."""
+"""Logs a study to MLflow: the one process that writes to the tracking store.
+
+The page that the run names opens a saved view: error against the number of samples, a line per
+variant. A named view is an experiment's tag, ``mlflow.sharedViewState.<key>`` (MLflow 3.15 and
+later); an address with ``viewStateShareKey=<key>`` opens it. The recommended network lies on the
+run of the study's own network, as a model with its signature.
+"""
 
 import json
 import logging
 import os
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, urlencode
+
+import numpy as np
 
 from iksamples.answer.answer import FILE as ANSWER
-from iksamples.answer.collect import read_runs
+from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.errors import IksamplesError
-from iksamples.export.logged import log_network
+from iksamples.export.forms import INPUT, OUTPUT
+from iksamples.export.write import ONNX_FILE, choose, export
 from iksamples.study import Study
 from iksamples.study.section import without_password
 from iksamples.tracking.content import own_run, study_runs
-from iksamples.tracking.store import (
-    Outcome,
-    connect,
-    experiment,
-    failing_plainly,
-    log_runs,
-    owner,
-)
-from iksamples.tracking.view import page, view_tag
+from iksamples.tracking.store import Outcome, connect, experiment, failing_plainly, log_runs, owner
+
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.models import ModelSignature
 
 
 DEFAULT_URI = "sqlite:///mlflow.db"
@@ -123,3 +133,130 @@ def _note(study: Study, charts: str) -> str:
         "One run per variant (a method on samples placed by a design), below it one per number of "
         "samples. `seeds.csv` there has the errors of every network. Lengths in mm, losses in rad²."
     )
+
+
+_TAG = "mlflow.sharedViewState."
+_SECTION = "against-n"
+_NAME = "Error against the number of samples"
+
+
+def view_tag(study: Study, owner: str, created_ms: int) -> tuple[str, str]:
+    """Name and value of the tag that holds an owner's view.
+
+    Args:
+        study: The study, whose regions get a chart each.
+        owner: Whose runs are shown.
+        created_ms: When the experiment was made [ms since 1970].
+    """
+    regions = [*study.evaluation.paths, WORKSPACE]
+    metrics = [f"{region}/error_mean_mm" for region in regions]
+    metrics += [f"{WORKSPACE}/error_max_mm", f"{WORKSPACE}/sup_median_mm"]
+    state = {
+        "searchFilter": " and ".join(
+            f"tags.`iksamples.{name}` = '{value}'"
+            for name, value in (("owner", owner), ("current", "true"), ("kind", "variant"))
+        ),
+        "runsHiddenMode": "SHOW_ALL",
+        "compareRunCharts": [_chart(metric) for metric in metrics],
+        "compareRunSections": [{"uuid": _SECTION, "name": _NAME, "display": True, "columns": 2}],
+        "isAccordionReordered": True,  # else MLflow puts its own sections by name
+        "hideEmptyCharts": True,
+    }
+    value = {"name": _NAME, "createdAt": created_ms, "state": json.dumps(state)}
+    return _TAG + _key(owner), json.dumps(value)
+
+
+def page(experiment_id: str, owner: str) -> str:
+    """The part of the address, after the server's, that opens the view."""
+    query = {
+        "workflowType": "machine_learning",  # else MLflow may open on its page of traces
+        "compareRunsMode": "CHART",
+        "viewStateShareKey": _key(owner),
+    }
+    return f"#/experiments/{experiment_id}/runs?{urlencode(query, quote_via=quote)}"
+
+
+def _key(owner: str) -> str:
+    return f"iksamples-{owner}"
+
+
+def _chart(metric: str) -> dict[str, Any]:
+    return {
+        "type": "LINE",
+        "uuid": metric,
+        "metricSectionId": _SECTION,
+        "metricKey": metric,
+        "deleted": False,
+        "isGenerated": False,
+        "xAxisKey": "step",
+        "useGlobalXaxisKey": False,
+        "xAxisScaleType": "log",
+        "scaleType": "log",
+        "range": {},
+        "displayPoints": True,
+        "lineSmoothness": 0,
+        "useGlobalLineSmoothing": False,
+    }
+
+
+FOLDER = "network"
+"""Folder among the run's artifacts; ``mlflow.onnx.load_model("runs:/<run>/network/model")``."""
+_NETWORK_TAG = "iksamples.network"
+
+
+def log_network(client: "MlflowClient", run_id: str, results: Path) -> None:
+    """Puts the recommended network on a run, unless it is there already.
+
+    Where there is none (every training diverged, nothing is proved), the run's tag says why.
+
+    Args:
+        client: The store.
+        run_id: The study's run.
+        results: The study's results folder.
+    """
+    from mlflow.models import ModelSignature
+    from mlflow.types import Schema, TensorSpec
+
+    with TemporaryDirectory() as aside:
+        folder = Path(aside) / FOLDER
+        try:
+            certificate = export(choose(results), folder)
+        except IksamplesError as error:
+            client.set_tag(run_id, _NETWORK_TAG, f"none: {error}")
+            return
+        digest = certificate["file_sha256"]
+        if client.get_run(run_id).data.tags.get(_NETWORK_TAG) == digest:
+            return
+        inputs, outputs = (
+            Schema([TensorSpec(np.dtype(np.float32), (-1, len(certificate[key])), name)])
+            for key, name in (("inputs", INPUT), ("outputs", OUTPUT))
+        )
+        _save_model(ModelSignature(inputs, outputs), folder)
+        client.log_artifacts(run_id, str(folder), FOLDER)
+        client.set_tag(run_id, _NETWORK_TAG, digest)
+
+
+def _save_model(signature: "ModelSignature", folder: Path) -> None:
+    """Writes MLflow's description of the ONNX file that is in a folder, as ``folder/model``.
+
+    As ``mlflow.onnx.save_model`` does, which wants onnxruntime installed though it is only needed
+    to run the model.
+    """
+    import onnx
+    from mlflow import pyfunc
+    from mlflow.models import Model
+
+    model, kept = Model(signature=signature), folder / "model"
+    kept.mkdir()
+    shutil.copy(folder / ONNX_FILE, kept / ONNX_FILE)
+    (kept / "requirements.txt").write_text("mlflow\nonnx\nonnxruntime\n", encoding="utf-8")
+    model.add_flavor(
+        "onnx",
+        onnx_version=onnx.__version__,
+        data=ONNX_FILE,
+        providers=["CPUExecutionProvider"],
+        onnx_session_options=None,
+        code=None,
+    )
+    pyfunc.add_to_model(model, loader_module="mlflow.onnx", data=ONNX_FILE)
+    model.save(str(kept / "MLmodel"))

@@ -14,18 +14,22 @@ from typing import Any
 import numpy as np
 
 from iksamples.certify.readers.checkpoint import MOST_BYTES
-from iksamples.certify.readers.exact import Numbers, over, plus, product, times
-from iksamples.certify.readers.layers import FileNetwork, Scaling, unscaled
-from iksamples.certify.readers.values import (
+from iksamples.certify.readers.exact import (
+    Numbers,
     Value,
     each,
     integers,
+    over,
     plain,
+    plus,
+    product,
     read_tensor,
     real,
     shape_for_one,
     stretched,
+    times,
 )
+from iksamples.certify.readers.layers import FileNetwork, Scaling, unscaled
 from iksamples.errors import IksamplesError
 
 
