@@ -199,13 +199,18 @@ def test_a_change_runs_the_steps_it_affects(project, change, rules):
 def test_a_password_is_in_no_file_and_on_no_console(project, tmp_path):
     folder = tmp_path / "secret"
     shutil.copytree(project, folder)
-    done = snakemake(folder, "--cores", "2", "--keep-going", "--configfile", TINY, "--config",
-                     "tracking={'uri': 'http://me:hush@127.0.0.1:9'}", check=False)  # fmt: skip
+    command = ("--cores", "2", "--configfile", TINY)
+    done = snakemake(folder, *command, "--config",
+                     "tracking={'uri': 'http://me:hush@127.0.0.1:9'}")  # fmt: skip
     assert "tracking.uri: cannot use http://me:***@127.0.0.1:9 (" in done.stderr
     assert "hush" not in done.stdout + done.stderr
+    # All else is done, and the end says what logs the study later; so does the next run.
+    last = done.stderr[done.stderr.index("tiny: done.") :]
+    assert "  iksamples track results/tiny/study.json --results results/tiny\n" in last
     assert "127.0.0.1:9" in (folder / "results/tiny/study.json").read_text()
     for file in folder.rglob("*"):
         assert not file.is_file() or b"hush" not in file.read_bytes(), file
+    assert "track" in planned(folder, *command)
 
 
 def cut(file):

@@ -2,6 +2,7 @@
 The study, validated before any job, and what the rules share.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -127,6 +128,14 @@ def typed_command(wildcards):
     return shlex.join(command)
 
 
+def tracked():
+    """Where the runs were logged, or why not and what logs them; nothing where that is unknown."""
+    try:
+        return json.loads(MANIFEST.read_text())
+    except (OSError, ValueError):
+        return {}
+
+
 def where_to_look():
     """The last lines of a run: what there is now, and how to look at it."""
     made = {
@@ -138,12 +147,18 @@ def where_to_look():
         },
     }
     lines = [f"  {what} {path}" for path, what in made.items() if Path(path).exists()]
-    tracked = Path(f"results/{STUDY.name}/tracking.json")
-    if tracked.exists():
-        page = json.loads(tracked.read_text())["page"]
-        lines.append(
-            f"  Runs        mlflow ui    and then http://127.0.0.1:5000/{page}"
+    found = tracked()
+    if "page" in found:
+        uri = found["tracking_uri"]
+        where = (
+            f"{uri}/{found['page']}"
+            if uri.startswith("http")
+            else f"mlflow ui    and then http://127.0.0.1:5000/{found['page']}"
         )
+        lines.append(f"  Runs        {where}")
+    elif found:
+        lines.append(f"  Not logged  {found['reason']}\n              Log it later by")
+        lines.append(f"              {found['command']}")
     return "\n".join(["", f"{STUDY.name}: done.", *lines, ""])
 
 
@@ -157,6 +172,12 @@ WAYPOINTS = [digest_of(file, "evaluation.paths") for file in STUDY.evaluation.fi
 if STUDY.tracking.uri:
     # What is kept of the study lacks its password, so the job that tracks it is told here.
     os.environ.update(MLFLOW_TRACKING_URI=STUDY.tracking.uri)
+
+MANIFEST = Path(f"results/{STUDY.name}/tracking.json")
+if "command" in tracked() and workflow.is_main_process:
+    # It says only that nothing could be logged; this run tries again.
+    with contextlib.suppress(OSError):
+        MANIFEST.unlink()
 
 LABELS = list(sample_sets(STUDY))
 FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))

@@ -26,4 +26,4 @@ rule track:
         code=source_digest("iksamples.tracking.track"),
         results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples track {params.study:q} --results {params.results:q} --output {output:q} 2> >(tee {log:q} >&2)'
+        '"$IKSAMPLES_PYTHON" -P -m iksamples track {params.study:q} --results {params.results:q} --output {output:q} --or-later 2> >(tee {log:q} >&2)'

@@ -1,5 +1,6 @@
 """One command per step of the workflow, each usable by hand on files."""
 
+import shlex
 from pathlib import Path
 from shutil import copyfile
 from typing import Annotated
@@ -268,14 +269,35 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
 def track(
     study_file: StudyFile,
     results: Results,
-    output: Annotated[Path, typer.Option("--output", "-o", help="What was logged (JSON).")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="What was logged (JSON); by default tracking.json."),
+    ] = None,
+    or_later: Annotated[
+        bool,
+        typer.Option(
+            "--or-later",
+            help="Where the tracking store cannot be used, say how to log the study later, and end "
+            "without an error.",
+        ),
+    ] = False,
 ) -> None:
     """Log the study, its variants and sizes to MLflow; what is there already is kept."""
     from iksamples.study import read_study
+    from iksamples.tracking.store import StoreError
+    from iksamples.tracking.track import put_off
     from iksamples.tracking.track import track as log_study
 
-    with kept_file(output) as file:
-        log_study(read_study(study_file), results, file)
+    study, output = read_study(study_file), output or results / "tracking.json"
+    try:
+        log_study(study, results, output)
+    except StoreError as error:
+        if not or_later:
+            raise
+        command = ["iksamples", "track", str(study_file), "--results", str(results)]
+        put_off(study, error, shlex.join(command), output)
+        typer.echo(f"Warning: {error}\nAll else goes on. To log this study later:", err=True)
+        typer.echo(f"  {shlex.join(command)}", err=True)
 
 
 @app.command()

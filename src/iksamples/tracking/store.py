@@ -1,18 +1,25 @@
-"""Puts runs into MLflow so that doing it twice changes nothing, and nothing is ever deleted."""
+"""Puts runs into MLflow so that doing it twice changes nothing, and nothing is ever deleted.
+
+A run's key is a tag that it has from its first moment. What is asked of a store a second time,
+since it failed or since its answer was lost on the way, therefore finds what the first time left.
+"""
 
 import getpass
 import hashlib
 import json
+import logging
 import os
 import platform
 import re
 import shutil
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from filelock import FileLock
 
 from iksamples.errors import IksamplesError
 from iksamples.study.section import without_password
@@ -23,6 +30,8 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Experiment, Run
 
+_Thing = TypeVar("_Thing")
+
 KEY = "iksamples.key"
 OWNER = "iksamples.owner"
 CURRENT = "iksamples.current"
@@ -30,6 +39,19 @@ _PARENT = "mlflow.parentRunId"
 # What the tracking service takes in one call.
 _METRICS_AT_ONCE = 1000
 _RUNS_AT_ONCE = 1000
+_RETRIES = "MLFLOW_HTTP_REQUEST_MAX_RETRIES"
+_PATIENCE = {
+    _RETRIES: "2",
+    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
+}
+"""A server that is gone is said to be after seconds, not MLflow's minutes; unless set otherwise."""
+_WAITS_S = (0.5, 1.0, 2.0)
+"""Before what may not simply be sent again is looked for, and done again if it is not there."""
+
+
+class StoreError(IksamplesError):
+    """The tracking store cannot be used, as far as can be told not for good."""
 
 
 @dataclass
@@ -63,27 +85,35 @@ def owner() -> str:
     return f"{re.sub('[^A-Za-z0-9_-]', '-', user)[:32]}-{place.hexdigest()[:8]}"
 
 
+def prepare() -> None:
+    """Sets MLflow up, before its first import: quiet, without telemetry, and not too patient."""
+    for name, value in {**_PATIENCE, "MLFLOW_DISABLE_TELEMETRY": "true"}.items():
+        os.environ.setdefault(name, value)
+    # Its lines would name the store, password included, once per run.
+    os.environ["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] = "true"
+    for noisy in ("alembic", "mlflow.store.db.utils", "urllib3.connectionpool"):
+        logging.getLogger(noisy).setLevel(logging.ERROR)
+
+
 def connect(uri: str) -> "MlflowClient":
     """Opens a tracking store, and makes it where it is a new SQLite file.
 
     Raises:
         IksamplesError: It cannot be reached or is not a tracking store.
     """
-    from mlflow import MlflowClient
-
-    with failing_plainly(uri), _few_retries():
+    prepare()
+    with failing_plainly(uri, Exception):  # each driver has errors of its own
         _make_sqlite_file(uri)
-        client = MlflowClient(uri)
-        client.search_experiments(max_results=1)
-    return client
+        return _ask(uri)
 
 
 def experiment(client: "MlflowClient", name: str) -> "Experiment":
     """The experiment of a name, made, or fetched back from the trash, if need be."""
-    found = client.get_experiment_by_name(name)
-    if found is None:
-        found = client.get_experiment(client.create_experiment(name))
-    elif found.lifecycle_stage != "active":
+    found = client.get_experiment_by_name(name) or _made_once(
+        lambda: client.get_experiment(client.create_experiment(name)),
+        lambda: client.get_experiment_by_name(name),
+    )
+    if found.lifecycle_stage != "active":
         client.restore_experiment(found.experiment_id)
     return found
 
@@ -107,7 +137,12 @@ def log_runs(
         contents: The runs of the study, parents before their children.
         tags: Further tags of runs that are written now.
     """
-    known = {run.data.tags[KEY]: run for run in _runs_of(client, where, whose)}
+    # Whole runs first, else the oldest: should there be two with one key, one of them counts.
+    found = sorted(
+        _runs_of(client, where, OWNER, whose),
+        key=lambda run: (run.info.status != "FINISHED", run.info.start_time, run.info.run_id),
+    )
+    known = {run.data.tags[KEY]: run for run in reversed(found)}
     now_ms = time.time_ns() // 1_000_000
     outcome = Outcome({})
     for i, content in enumerate(contents):
@@ -115,38 +150,41 @@ def log_runs(
         marks = {KEY: key, OWNER: whose, CURRENT: "true"}
         if content.parent:
             marks[_PARENT] = outcome.run_ids[content.parent]
-        run = known.pop(key, None)
+        run = known.get(key)
         if run and run.info.status == "FINISHED":
             outcome.kept += 1
-            run_id = run.info.run_id
-            _mark(client, run, marks)
         else:  # not there, or cut off
             outcome.logged += 1
-            run_id = _log(client, where, content, {**tags, **marks}, now_ms - i)
-            if run:
-                _give_up(client, run)
-        outcome.run_ids[content.name] = run_id
-    for run in known.values():
-        outcome.outdated += run.data.tags[CURRENT] == "true"
-        _give_up(client, run)
+            run = _log(client, where, content, {**tags, **marks}, now_ms - i, run)
+        _mark(client, run, marks)
+        outcome.run_ids[content.name] = run.info.run_id
+    current = set(outcome.run_ids.values())
+    for run in found:
+        if run.info.run_id not in current:
+            outcome.outdated += run.data.tags[CURRENT] == "true"
+            _give_up(client, run)
     return outcome
 
 
 @contextmanager
-def failing_plainly(uri: str) -> Iterator[None]:
-    """Turns what MLflow and its stores raise into one line for people."""
+def failing_plainly(uri: str, *more: type[Exception]) -> Iterator[None]:
+    """Turns what MLflow and its stores raise, and more if asked, into one line for people."""
     from mlflow.exceptions import MlflowException
     from requests import RequestException
     from sqlalchemy.exc import SQLAlchemyError
 
+    raised: tuple[type[Exception], ...]
+    raised = (MlflowException, RequestException, SQLAlchemyError, OSError, *more)
     try:
         yield
-    except (MlflowException, RequestException, SQLAlchemyError, OSError) as error:
-        reason = str(error).strip().splitlines()[0]
+    except IksamplesError:
+        raise
+    except raised as error:
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         if "Max retries exceeded" in reason:
             reason = "no answer"
         reason = without_password(reason.replace(uri, without_password(uri)))
-        raise IksamplesError(
+        raise StoreError(
             f"tracking.uri: cannot use {without_password(uri)} ({reason[:200]}). Start that server "
             "or name another store; the next run goes on with what is not logged yet."
         ) from None
@@ -158,14 +196,19 @@ def _log(
     content: RunContent,
     tags: dict[str, str],
     start_ms: int,
-) -> str:
-    """Writes one run and says its id."""
+    run: "Run | None",
+) -> "Run":
+    """Writes a run, or all of one that was cut off: a store keeps what is the same once."""
     from mlflow.entities import DatasetInput, InputTag, Metric, Param
 
     tags = {"iksamples.kind": content.kind, "mlflow.note.content": content.note, **tags}
     if content.colour:
         tags["mlflow.runColor"] = content.colour
-    run_id = str(client.create_run(where.experiment_id, start_ms, tags, content.name).info.run_id)
+    run = run or _made_once(
+        lambda: client.create_run(where.experiment_id, start_ms, tags, content.name),
+        lambda: next(_runs_of(client, where, KEY, tags[KEY]), None),
+    )
+    run_id, start_ms = run.info.run_id, run.info.start_time
     metrics = [Metric(name, value, start_ms, step) for name, value, step in content.metrics]
     params = [Param(name, value) for name, value in content.params.items()]
     for first in range(0, max(len(metrics), 1), _METRICS_AT_ONCE):
@@ -179,7 +222,29 @@ def _log(
     for path in content.files:
         client.log_artifact(run_id, str(path))
     client.set_terminated(run_id, end_time=start_ms)
-    return run_id
+    return run
+
+
+def _made_once(make: "Callable[[], _Thing]", find: "Callable[[], _Thing | None]") -> "_Thing":
+    """Makes what was not there a moment ago.
+
+    After a failure it is looked for before it is made again: it may be there, made by this call,
+    whose answer was lost, or by somebody else.
+    """
+    from mlflow.exceptions import MlflowException
+
+    for wait_s in _WAITS_S:
+        patience = os.environ[_RETRIES]
+        os.environ[_RETRIES] = "0"  # MLflow would send it again as it is
+        try:
+            return make()
+        except MlflowException:
+            time.sleep(wait_s)
+        finally:
+            os.environ[_RETRIES] = patience
+        if (found := find()) is not None:
+            return found
+    return make()
 
 
 def _mark(client: "MlflowClient", run: "Run", marks: dict[str, str]) -> None:
@@ -210,12 +275,12 @@ def _dataset(content: RunContent) -> Any:
     )
 
 
-def _runs_of(client: "MlflowClient", where: "Experiment", whose: str) -> "Iterator[Run]":
+def _runs_of(client: "MlflowClient", where: "Experiment", tag: str, value: str) -> "Iterator[Run]":
     token = None
     while True:
         page = client.search_runs(
             [where.experiment_id],
-            f"tags.`{OWNER}` = '{whose}'",
+            f"tags.`{tag}` = '{value}'",
             max_results=_RUNS_AT_ONCE,
             page_token=token,
         )
@@ -225,42 +290,45 @@ def _runs_of(client: "MlflowClient", where: "Experiment", whose: str) -> "Iterat
             return
 
 
+def _ask(uri: str) -> "MlflowClient":
+    """A client whose store has answered, and is whole if it is a SQLite file."""
+    from mlflow import MlflowClient
+
+    client = MlflowClient(uri)
+    client.search_experiments(max_results=1)
+    return client
+
+
 def _make_sqlite_file(uri: str) -> None:
     """Makes a missing SQLite file beside its place and moves it there when it is whole.
 
-    MLflow needs seconds to make one and cannot open one it was stopped at.
+    MLflow needs seconds to make one, cannot open one it was stopped at, and two of it spoil it.
+
+    Raises:
+        IksamplesError: A database without a file.
     """
-    from mlflow import MlflowClient
     from sqlalchemy.engine import make_url
 
-    if not uri.startswith("sqlite:"):
+    if not uri.startswith("sqlite"):
         return
     database = make_url(uri).database
-    if database in (None, "", ":memory:") or Path(str(database)).exists():
-        return
+    if database in (None, "", ":memory:"):
+        raise IksamplesError(
+            f"tracking.uri: {uri} would be gone at the end; name a file, as in sqlite:///mlflow.db."
+        )
     path = Path(str(database))
-    # A folder, since SQLite keeps a journal beside an unfinished file.
-    unfinished = path.with_name(f".unfinished-{path.name}")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    unfinished.mkdir(parents=True)
-    try:
-        MlflowClient(f"sqlite:///{unfinished / path.name}").search_experiments(max_results=1)
-        os.link(unfinished / path.name, path)  # unlike a rename, never over what came meanwhile
-    except FileExistsError:
-        pass
-    finally:
+    if path.exists():
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(path.with_name(f".{path.name}.lock")) as lock:
+        # A folder, since SQLite keeps a journal beside an unfinished file.
+        unfinished = path.with_name(f".unfinished-{path.name}")
         shutil.rmtree(unfinished, ignore_errors=True)
-
-
-@contextmanager
-def _few_retries() -> Iterator[None]:
-    """Lets a server that does not answer fail in seconds instead of minutes."""
-    limits = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}
-    before = {name: os.environ.get(name) for name in limits}
-    os.environ.update({name: before[name] or value for name, value in limits.items()})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
+        if not path.exists():
+            unfinished.mkdir()
+            with suppress(FileExistsError):
+                _ask(f"sqlite:///{unfinished / path.name}")
+                os.link(unfinished / path.name, path)  # unlike a rename, never over another file
+            shutil.rmtree(unfinished, ignore_errors=True)
+        # Whoever still waits for this lock, or makes another, finds the store made.
+        Path(lock.lock_file).unlink()

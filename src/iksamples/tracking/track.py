@@ -7,7 +7,6 @@ run of the study's own network, as a model with its signature.
 """
 
 import json
-import logging
 import os
 import shutil
 from pathlib import Path
@@ -16,16 +15,27 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, urlencode
 
 import numpy as np
+from filelock import FileLock
 
 from iksamples.answer.answer import FILE as ANSWER
 from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.errors import IksamplesError
 from iksamples.export.forms import INPUT, OUTPUT
 from iksamples.export.write import ONNX_FILE, choose, export
+from iksamples.files import kept_file
+from iksamples.report.markdown import escaped
 from iksamples.study import Study
 from iksamples.study.section import without_password
 from iksamples.tracking.content import own_run, study_runs
-from iksamples.tracking.store import Outcome, connect, experiment, failing_plainly, log_runs, owner
+from iksamples.tracking.store import (
+    Outcome,
+    StoreError,
+    connect,
+    experiment,
+    failing_plainly,
+    log_runs,
+    owner,
+)
 
 
 if TYPE_CHECKING:
@@ -40,11 +50,11 @@ DEFAULT_URI = "sqlite:///mlflow.db"
 MODEL_TRAINING = "custom_model_development"
 
 
-def track(study: Study, results: str | Path, output: str | Path) -> Outcome:
+def track(study: Study, results: Path, output: Path) -> Outcome:
     """Logs a study to the MLflow experiment of its name, but for what is there already.
 
     One run per variant, below it one per number of samples. It can be done again at any time, also
-    after it was cut off, and by several people on one server.
+    after it was cut off, at the same time, and by several people on one server.
 
     Args:
         study: The study.
@@ -53,42 +63,58 @@ def track(study: Study, results: str | Path, output: str | Path) -> Outcome:
             compares the variants.
 
     Raises:
-        IksamplesError: The tracking store cannot be used, or the study is not finished.
+        StoreError: The tracking store cannot be used.
+        IksamplesError: The study is not finished.
     """
-    # Before the first import of MLflow, which reads it then.
-    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    # Its lines would name the store, password included, once per run.
-    os.environ["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] = "true"
-    for noisy in ("alembic", "mlflow.store.db.utils", "urllib3.connectionpool"):
-        logging.getLogger(noisy).setLevel(logging.ERROR)
     # All of it read first, so that a missing file stops this before anything is written.
-    contents = list(study_runs(study, Path(results), read_runs(results)))
+    contents = list(study_runs(study, results, read_runs(results)))
     uri, whose = tracking_uri(study), owner()
-    client = connect(uri)
-    with failing_plainly(uri):
-        where = experiment(client, study.name)
-        outcome = log_runs(client, where, whose, contents, source_tags(study))
-        if (Path(results) / ANSWER).exists():
-            log_network(client, outcome.run_ids[own_run(study)], Path(results))
-        client.set_experiment_tag(
-            where.experiment_id, *view_tag(study, whose, int(where.creation_time or 0))
-        )
-        about = {
-            "mlflow.experimentKind": MODEL_TRAINING,
-            "mlflow.note.content": _note(study, page(where.experiment_id, whose)),
+    # One owner's runs are looked for and then made: two at once would make them twice.
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(output.with_name(f".{output.name}.lock")), kept_file(output) as manifest:
+        client = connect(uri)
+        with failing_plainly(uri):
+            where = experiment(client, study.name)
+            outcome = log_runs(client, where, whose, contents, source_tags(study))
+            if (results / ANSWER).exists():
+                log_network(client, outcome.run_ids[own_run(study)], results)
+            client.set_experiment_tag(
+                where.experiment_id, *view_tag(study, whose, int(where.creation_time or 0))
+            )
+            about = {
+                "mlflow.experimentKind": MODEL_TRAINING,
+                "mlflow.note.content": _note(study, page(where.experiment_id, whose)),
+            }
+            for name in about.keys() - where.tags.keys():  # what people wrote there stays
+                client.set_experiment_tag(where.experiment_id, name, about[name])
+        content = {
+            "tracking_uri": without_password(uri),
+            "experiment": where.name,
+            "experiment_id": where.experiment_id,
+            "page": page(where.experiment_id, whose),
+            "study": study.digest(),
+            "runs": outcome.run_ids,
         }
-        for name in about.keys() - where.tags.keys():  # what people wrote there stays
-            client.set_experiment_tag(where.experiment_id, name, about[name])
-    manifest = {
-        "tracking_uri": without_password(uri),
-        "experiment": where.name,
-        "experiment_id": where.experiment_id,
-        "page": page(where.experiment_id, whose),
-        "study": study.digest(),
-        "runs": outcome.run_ids,
-    }
-    Path(output).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        manifest.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     return outcome
+
+
+def put_off(study: Study, reason: StoreError, command: str, output: Path) -> None:
+    """Writes a manifest of nothing: why no run was logged, and what logs them.
+
+    Args:
+        study: The study.
+        reason: Why not.
+        command: What to type.
+        output: The manifest.
+    """
+    content = {
+        "tracking_uri": without_password(tracking_uri(study)),
+        "reason": str(reason),
+        "command": command,
+    }
+    with kept_file(output) as file:
+        file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def tracking_uri(study: Study) -> str:
@@ -129,7 +155,7 @@ def _note(study: Study, charts: str) -> str:
     return (
         "How the position error of a learned inverse kinematics falls with more samples: "
         f"[charts]({charts}).\n\n"
-        f"{study.title}\n\n"
+        f"{escaped(study.title)}\n\n"
         "One run per variant (a method on samples placed by a design), below it one per number of "
         "samples. `seeds.csv` there has the errors of every network. Lengths in mm, losses in rad²."
     )
