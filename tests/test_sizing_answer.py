@@ -16,6 +16,7 @@ from iksamples.answer.collect import variants
 from iksamples.answer.sizes import answer_of, judge
 from iksamples.errors import IksamplesError
 from iksamples.study import parse_study
+from iksamples.text import millimetres
 
 
 METHODS = {
@@ -282,6 +283,29 @@ class TestWords:
             "a look-up table of the same samples needs 125 (measured at 8\u202f200 points, not "
             "certified: 1.41 mm).",
         ]
+
+    def test_the_papers_training_is_said_of_the_papers_arm_alone(self):
+        """On another arm a newcomer wants to know the network, not who has used it."""
+        other = {"robot": {"urdf": "config/robots/ur5e.urdf"}}
+        rows = make_rows({3: met(0), 4: met(20)})
+        assert "the paper's training" in answer(make_study(), rows).headline
+        said = answer(make_study(**other), rows).headline
+        assert "the study's own network (16 ReLU neurons, 500 epochs of Adam)" in said
+        assert "paper" not in said
+
+    def test_of_equal_samples_the_method_with_the_smaller_error_is_named(self):
+        study = make_study(methods={"rbf": {"kind": "rbf"}, "cubic": {"kind": "cubic"}})
+        rows = [
+            make_rows({3: [1.3]}, "rbf"),
+            make_rows({3: [0.5]}, "cubic"),
+            make_rows({3: met(0)}),
+        ]
+        assert "27 samples and a cubic spline" in answer(study, pd.concat(rows)).headline
+
+    @given(st.floats(1e-6, 1e4))
+    def test_an_error_is_never_said_to_be_smaller_than_it_is(self, error_mm):
+        said = float(millimetres(error_mm).removesuffix(" mm"))
+        assert error_mm <= said <= 1.011 * error_mm
 
     def test_a_part_of_the_workspace_is_named(self):
         """What holds over a part of the box alone must not read as if it held over the box."""

@@ -1,8 +1,9 @@
 """Words of the answer: methods, lengths and shares as people write them."""
 
 import math
+from decimal import ROUND_CEILING, Decimal
 
-from iksamples.study import NETWORK, Method, Network, Study, Training
+from iksamples.study import NETWORK, Method, Network, Robot, Study, Training
 
 
 OPTIMIZERS = {"adam": "Adam", "levenberg-marquardt": "Levenberg-Marquardt"}
@@ -38,7 +39,7 @@ def described(study: Study, name: str) -> str:
     if method.kind != "network":
         words = _OTHERS.get(method.kind, method.kind)
         return words if name in (method.kind, "table") else f"{words} ({name})"
-    if is_paper_recipe(method):
+    if is_paper_recipe(method) and study.robot == Robot():
         return "the paper's training"
     recipe = network_recipe(method)
     return f"the study's own network ({recipe})" if name == NETWORK else f"{name} ({recipe})"
@@ -80,13 +81,13 @@ def network_recipe(method: Method) -> str:
 
 
 def millimetres(value: float) -> str:
-    """A length with three figures: ``1.60 mm``, ``12.3 mm``."""
+    """An error with three figures, rounded up as bounds are: ``1.60 mm``, ``12.3 mm``."""
     if value == 0:
         return "0 mm"
     if abs(value) < 1e-6:
         return "less than 1 nm"  # rounding, not an error
     digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    return f"{value:.{digits}f} mm"
+    return f"{Decimal(repr(float(value))).quantize(Decimal(1).scaleb(-digits), ROUND_CEILING)} mm"
 
 
 def plain_millimetres(value: float) -> str:

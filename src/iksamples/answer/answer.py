@@ -14,6 +14,7 @@ from iksamples.errors import IksamplesError
 from iksamples.files import checked
 from iksamples.stats import Interval, Number
 from iksamples.study import Tolerance
+from iksamples.text import several
 
 
 VERSION = 2
@@ -272,8 +273,11 @@ def recommend(results: str | Path) -> str:
     bent = sum(curve.monotone and not curve.convex for curve in curves)
     if curves:
         blocks.append(
-            f"Ill-behaved learning curves: {rising} of {len(curves)} rise somewhere, {bent} more "
-            "are not convex."
+            f"Of {several(len(curves), 'learning curve')}, with a larger error at more samples "
+            f"somewhere: {rising}; falling all the way but by fits and starts (not convex): "
+            f"{bent}. What such a curve does beyond the sizes tried is not foretold."
+            if rising + bent
+            else "Every learning curve falls from size to size, and ever more slowly."
         )
     return "\n\n".join(blocks)
 

@@ -61,7 +61,14 @@ def headline(
     """
     candidates = [one for one in variants if one.kind != "nominal"] or list(variants)
     answered = [one for one in candidates if one.found]
-    answered.sort(key=lambda one: (one.n_samples, not one.shown.certified, one.kind != "network"))
+    answered.sort(
+        key=lambda one: (
+            one.n_samples,
+            not one.shown.certified,
+            one.kind != "network",
+            one.shown.tolerance_bound_mm,
+        )
+    )
     best = answered[:1]
     # Then the best network, the best that is proved, the study's own, the best without chance.
     others = [
@@ -203,7 +210,7 @@ def _met(study: Study, size: Size, confidence: Confidence) -> str:
 
 def _failing(study: Study, size: Size, confidence: Confidence) -> str:
     """How far a size is from what is required."""
-    excess_mm = size.tolerance_bound_mm - study.tolerance.error_mm
+    excess_mm = round(size.tolerance_bound_mm - study.tolerance.error_mm, 9)
     much = f", {millimetres(excess_mm)} too much" if np.isfinite(excess_mm) else ""
     samples = several(size.n_samples, "sample")
     if size.success_rate_lcb is None:

@@ -60,6 +60,7 @@ def answer(data: ReportData) -> dict[str, Any]:
     return {
         "methods": pd.DataFrame(methods, dtype=object),
         "sizes": pd.DataFrame(sizes, dtype=object),
+        "amounts": _amounts_drawing(data),
         "drawing": _needed_drawing(data),
         "fresh": pd.DataFrame(_fresh(data), dtype=object),
     }
@@ -125,6 +126,34 @@ def _needed(data: ReportData, one: Any) -> Markup | str:
 
 def _scaled(value: float | None, by: float) -> float | None:
     return None if value is None else by * value
+
+
+def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
+    """The samples that each method needs, fewest first."""
+    assert data.answer is not None
+    rows = []
+    for one in data.answer.variants:
+        how = "proved" if one.shown.certified else "measured"
+        if one.status != "answered":
+            how = "extrapolated" if one.status == "extrapolated" else "not enough"
+        n = one.shown.n_samples if how == "not enough" else one.n_samples
+        line = f"{one.method}, {one.design}" if data.several_designs else one.method
+        if data.learns[one.method]:
+            rows.append({"line": line, "n": n, "how": how})
+    if not rows:
+        return None
+    table = pd.DataFrame(rows)
+    table = table.assign(open=table["how"] == "not enough").sort_values(
+        ["open", "n"], kind="stable"
+    )
+    wish = data.answer.tolerance
+    what = {"worst": "worst", "mean": "mean"}.get(wish.of, wish.of)
+    angle = f" and {wish.angle_deg:g}°" if wish.angle_deg else ""
+    return figures.amounts(
+        table.reset_index(),
+        sorted(data.compared["n_samples"].unique()),
+        f"samples for a {what} error of at most {wish.error_mm:g} mm{angle}",
+    )
 
 
 def _needed_drawing(data: ReportData) -> figures.Drawing | None:

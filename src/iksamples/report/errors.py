@@ -108,9 +108,10 @@ def worst(data: ReportData) -> dict[str, Any]:
         "over_mean": over_mean.groupby(proofs["n_samples"]).median(),
         "found": float((proofs["error_max_mm"] / proofs["sup_lower_mm"]).min()),
         "corner": corner.mean(),
-        "places": proofs.loc[corner].filter(regex="^argmax_").value_counts().index[:1].tolist(),
+        "place": _place(proofs.loc[corner].filter(regex="^argmax_")),
         "searches": proofs[["seconds", "boxes"]].sum(),
         "map": views.error_map(maps, tolerance) if len(maps) else None,
+        "missed": bool((maps["error_mm"] > tolerance).any()) if len(maps) else False,
         "shown": data.shown[largest],
         "coverage": unsafe[unsafe["label"] == largest].iloc[0] if len(unsafe) else None,
         "epochs": _epochs_drawing(data.shown_rows("training_bound")),
@@ -245,6 +246,13 @@ def _at_corner(data: ReportData, proofs: pd.DataFrame) -> "pd.Series[bool]":
     box = data.study.workspace
     gap = np.minimum(np.abs(place - box.lower), np.abs(place - box.upper))
     return pd.Series((gap <= 1e-6).all(axis=1), index=proofs.index)
+
+
+def _place(places: pd.DataFrame) -> str:
+    """The most frequent of some points: ``x 80 mm, y 20 mm``."""
+    often = places.value_counts().index[:1].to_frame()
+    cells = ((str(column).split("_"), value) for column in often for value in often[column])
+    return ", ".join(f"{name} {value:g} {unit}" for (_, name, unit), value in cells)
 
 
 def _titled(wide: pd.DataFrame) -> pd.DataFrame:

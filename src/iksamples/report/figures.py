@@ -105,7 +105,7 @@ def panels(
     Returns:
         The figure and its axes as rows of columns.
     """
-    margins = {"left": 0.07, "right": 0.985, "bottom": 0.13, "top": 0.92}
+    margins = {"left": 0.08, "right": 0.985, "bottom": 0.13, "top": 0.92}
     gaps = ("left", "right", "bottom", "top", "wspace", "hspace", "width_ratios")
     grid = margins | {key: layout.pop(key) for key in gaps if key in layout}
     with matplotlib.rc_context(_RC):
@@ -202,6 +202,13 @@ def _with_tips(text: str, group: str, lines: Sequence[str]) -> str:
 
 Look = Mapping[str, Any]
 
+AMOUNTS: Mapping[str, Look] = {
+    "proved": {"marker": "o", "ms": 8, "color": NETWORK},
+    "measured": {"marker": "o", "ms": 8, "color": NETWORK, "mfc": "none", "mew": 1.8},
+    "extrapolated": {"marker": "D", "ms": 6, "color": ESTIMATE, "mfc": "none", "mew": 1.8},
+    "not enough": {"marker": ">", "ms": 8, "color": MUTED},
+}
+"""How a number of samples is known, and its mark."""
 _COLUMNS = 3
 _BAND = 0.25, 0.75
 _DOTS_APART = 0.06
@@ -251,15 +258,17 @@ def lines(
     names = [name for name in looks if (table[hue] == name).any()]
     figure, axes = _panels(titles, len(names) + (tolerance is not None or asked is not None))
     tips: dict[str, list[str]] = {}
+    drawn = [pd.Series([tolerance], dtype=float)]
     for i, (axis, title) in enumerate(zip(axes, titles, strict=True)):
         part = table[table[panel] == title] if panel else table
         for name in names:
             rows = part[part[hue] == name]
             if not rows.empty:
-                _line(axis, rows, x, y, looks[name])
+                drawn += _line(axis, rows, x, y, looks[name])
                 if "tip" in rows and rows["tip"].notna().all():
                     group = f"marks-{i}-{names.index(name)}"
                     tips[group] = _marks(axis, rows, x, y, looks[name], group)
+                    drawn.append(rows[y])
         for value, draw in ((tolerance, axis.axhline), (asked, axis.axvline)):
             if value is not None:
                 draw(value, color=TARGET, lw=1, ls=(0, (1, 1.5)), zorder=1)
@@ -267,9 +276,8 @@ def lines(
         if axis.xaxis.get_tick_params()["labelbottom"]:
             axis.set_xlabel(xlabel)
     _scale(axes, "x", pd.concat([table[x], pd.Series([asked], dtype=float)]), linear)
-    ends = [table[column] for column in ("low", "high") if column in table]
-    _scale(axes, "y", pd.concat([table[y], *ends, pd.Series([tolerance], dtype=float)]), linear)
-    for axis in axes[::_COLUMNS] if len(axes) > _COLUMNS else axes[:1]:
+    _scale(axes, "y", pd.concat(drawn), linear)
+    for axis in axes[:: _columns(len(axes))]:
         axis.set_ylabel(ylabel)
     handles = [Line2D([], [], **dict(looks[name])) for name in names]
     if tolerance is not None or asked is not None:
@@ -277,6 +285,41 @@ def lines(
         names.append("tolerance asked for")
     figure.legend(handles, names, loc="lower center", ncols=min(4, len(names)), borderaxespad=0.1)
     return Drawing(figure, tips)
+
+
+@styled
+def amounts(table: pd.DataFrame, sizes: Sequence[int], xlabel: str) -> Drawing:
+    """A number of samples per line of text, for who looks once.
+
+    Args:
+        table: From top to bottom: what needs them (``line``), the number (``n``) and how it is
+            known (``how``, one of ``AMOUNTS``).
+        sizes: The numbers of samples that were tried.
+        xlabel: Title of the horizontal axis.
+    """
+    names, height = list(table["line"]), 1.0 + 0.27 * len(table)
+    figure, [[axis]] = panels(
+        1, 1, height, 7.2, left=(0.3 + 0.072 * max(map(len, names))) / 7.2, right=0.97,
+        bottom=0.8 / height, top=1 - 0.12 / height,
+    )  # fmt: skip
+    place = np.arange(len(table))
+    signs = {"extrapolated": "about ", "not enough": "more than "}
+    for how, look in AMOUNTS.items():
+        rows = (table["how"] == how).to_numpy()
+        if rows.any():
+            axis.plot(table["n"][rows], place[rows], ls="", label=how, clip_on=False, **look)
+        for n, y in zip(table["n"][rows], place[rows], strict=True):
+            text = f"{signs.get(how, '')}{n}"
+            axis.annotate(
+                text, (n, y), (9, 0), textcoords="offset points", va="center", fontweight="bold"
+            )
+    _scale([axis], "x", pd.concat([table["n"], pd.Series(sizes)]), "")
+    axis.set_xlim(right=2.0 * axis.get_xlim()[1])  # room for the last number
+    axis.set_ylim(len(table) - 0.5, -0.5)
+    axis.set_yticks(place, names)
+    axis.set_xlabel(xlabel)
+    figure.legend(loc="lower center", ncols=len(AMOUNTS), borderaxespad=0.1)
+    return Drawing(figure, {})
 
 
 def colours(names: Sequence[str]) -> dict[str, Look]:
@@ -301,8 +344,13 @@ def looks(study: Study) -> dict[str, Look]:
     return colours(designs if len(designs) > 1 else list(study.all_methods))
 
 
-def _line(axis: Axes, rows: pd.DataFrame, x: str, y: str, look: Look) -> None:
-    """Median and band of a line, stretch by stretch where its dashes change."""
+def _line(axis: Axes, rows: pd.DataFrame, x: str, y: str, look: Look) -> list["pd.Series[float]"]:
+    """Draws median and band of a line, stretch by stretch where its dashes change.
+
+    Returns:
+        What was drawn, which a single seed's outlier is not.
+    """
+    drawn = []
     stretches = (
         rows.groupby("dash", sort=False) if "dash" in rows else [(look.get("ls", "-"), rows)]
     )
@@ -316,6 +364,8 @@ def _line(axis: Axes, rows: pd.DataFrame, x: str, y: str, look: Look) -> None:
         else:
             low, high = by_x[y].quantile(_BAND[0]), by_x[y].quantile(_BAND[1])
         axis.fill_between(middle.index, low, high, color=look["color"], alpha=0.15, lw=0, zorder=2)
+        drawn += [middle, low, high]
+    return drawn
 
 
 def _marks(axis: Axes, rows: pd.DataFrame, x: str, y: str, look: Look, group: str) -> list[str]:
@@ -329,7 +379,7 @@ def _marks(axis: Axes, rows: pd.DataFrame, x: str, y: str, look: Look, group: st
 
 
 def _panels(titles: Sequence[str], n_lines: int) -> tuple[Figure, list[Axes]]:
-    columns = min(_COLUMNS, len(titles))
+    columns = _columns(len(titles))
     rows = -(-len(titles) // columns)
     legend = 0.24 * -(-n_lines // 4)
     height = rows * (3.2 if columns < _COLUMNS else 2.6) + legend
@@ -351,6 +401,10 @@ def _panels(titles: Sequence[str], n_lines: int) -> tuple[Figure, list[Axes]]:
     return figure, flat[: len(titles)]
 
 
+def _columns(n_panels: int) -> int:
+    return 2 if n_panels == 4 else min(_COLUMNS, n_panels)
+
+
 def _scale(axes: Sequence[Axes], which: str, values: "pd.Series[float]", linear: str) -> None:
     """Limits around the values; a logarithmic axis has its numbers at round or at given places."""
     limit = "set_xlim" if which == "x" else "set_ylim"
@@ -363,9 +417,10 @@ def _scale(axes: Sequence[Axes], which: str, values: "pd.Series[float]", linear:
     given = sorted(values.unique())
     wide = np.log10(high / low) > 2.2
     ticks = decades(low, high, (1,) if wide else (1, 2, 5))
+    ticks = ticks[:: 1 + len(ticks) // 13]
     ticks = given if which == "x" and len(given) <= 12 else ticks
     for axis in axes:
-        columns = min(_COLUMNS, len(axes)) if which == "x" else 1
+        columns = _columns(len(axes)) if which == "x" else 1
         number_ticks(axis, which, _with_room(ticks, low, high, 0.02 + 0.03 * columns))
         getattr(axis, limit)(low, high)
 

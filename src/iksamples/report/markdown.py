@@ -17,6 +17,8 @@ _ROUNDING = 1e-6
 _BLOCKS = ("|", "#", "<", "```", "!", ">")
 """What a line of its own starts with."""
 _OUTWARD = {"up": ROUND_CEILING, "down": ROUND_FLOOR}
+_UNIT = re.compile(r"(?<=\d) (?=(?:mm|%)(?!\w))")
+"""The space between a number and its unit, at which no line is to end."""
 _SPECIAL = re.compile(r"([\\`*_\[\]|~$#])")
 
 
@@ -34,6 +36,7 @@ def escaped(value: object) -> Markup:
     if isinstance(value, float):
         raise TypeError(f"{value}: a number needs a filter that rounds it")
     text = re.sub(r"[\r\n\t]+", " ", "" if value is None else str(value))
+    text = _UNIT.sub("\u00a0", text)
     return Markup(html.escape(_SPECIAL.sub(r"\\\1", text), quote=False))
 
 
@@ -181,27 +184,23 @@ def summary(markdown: str) -> dict[str, Markup]:
         markdown: The report's README.
 
     Returns:
-        Its title, its answer (the first block quote), its question (the first paragraph of the
-        first section) and the path of its first picture; empty where it has none.
+        Its title, its answer (the first block quote) and the path of its first picture; empty where
+        it has none.
     """
     parser = MarkdownIt("commonmark", {"html": False})
-    found = dict.fromkeys(("title", "answer", "question", "picture"), Markup())
-    inside, section = "", ""
+    found = dict.fromkeys(("title", "answer", "picture"), Markup())
+    inside = ""
     for token in parser.parse(markdown):
         if token.type == "inline":
-            part = {"h1": "title", "blockquote": "answer", "h2p": "question"}.get(section + inside)
+            part = {"h1": "title", "blockquote": "answer"}.get(inside)
             if part and not found[part]:
                 found[part] = Markup(parser.renderInline(token.content))
             images = [child for child in token.children or [] if child.type == "image"]
             if images and not found["picture"]:
                 found["picture"] = Markup(images[0].attrs["src"])
-        elif token.type == "heading_open":
-            section, inside = ("h2", "") if token.tag == "h2" else ("", token.tag)
-        elif token.type == "blockquote_open":
-            section, inside = "", "blockquote"
-        elif token.type == "paragraph_open" and inside != "blockquote":
-            inside = "p"
-        elif token.type == "blockquote_close":
+        elif token.type in ("heading_open", "blockquote_open"):
+            inside = token.tag
+        elif token.type in ("heading_close", "blockquote_close"):
             inside = ""
     return found
 

@@ -21,6 +21,7 @@ from iksamples.report.markdown import code, percent
 from iksamples.report.views import scene
 from iksamples.study import Study
 from iksamples.task import study_chain
+from iksamples.text import OPTIMIZERS
 
 
 _PATH_SETS = 4
@@ -46,7 +47,7 @@ def facts(data: ReportData) -> list[str]:
         + (f", of which the arm can use {percent(share, 1, 'down')}" if share < 1 - 1e-9 else ""),
         f"network {'-'.join(map(str, [len(space), *study.network.hidden, len(joints)]))}, "
         f"{study.network.activation}",
-        f"{training.optimizer}, {budget}",
+        f"{OPTIMIZERS[training.optimizer]}, {budget}",
         f"{n.min()} to {n.max()} samples ({', '.join(study.samples.designs)})",
         f"{training.seeds} trainings each",
     ]
