@@ -25,6 +25,7 @@ from iksamples.certify.enclosure import pairs
 from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import certify_stack
+from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 
@@ -108,6 +109,21 @@ def pose_chain():
         [(0, 0, 0), (0, 0, 90), (0, 0, 290), (200, 0, 290), (200, 0, 290), (200, 0, 290)],
         (280, 0, 290),
     )
+
+
+def test_a_table_that_keeps_the_orientation_takes_no_long_search():
+    """As on a UR5e: three parallel axes whose angles sum to 0, and a wrist that turns back."""
+    axes, places = [(0, 0, 1), *[(0, 1, 0)] * 3, (0, 0, 1)], [(0, 0, 0), (0, 0, 90), (0, 0, 290)]
+    chain = make_chain("RRRRR", axes, [*places, (200, 0, 290), (200, 0, 290)], (280, 0, 290))
+    turn, lift, bend = np.moveaxis(np.random.default_rng(3).uniform(-0.2, 0.2, (3, 3, 3)), -1, 0)
+    nodes = np.array([0.0, 50.0, 100.0])
+    table = Table((nodes, nodes), np.stack([turn, lift, bend, -lift - bend, -turn], axis=-1))
+    [found] = certify_stack(
+        table, chain, Region.box([0, 0], [100, 100]), rtol=0.05, max_boxes=30_000,
+        target=Target(("x", "y"), "fixed", np.eye(3)), measure="angle",
+    )  # fmt: skip
+    assert found.complete
+    assert found.upper < 1e-5
 
 
 def test_a_chain_that_turns_with_what_is_asked_is_off_by_a_constant():

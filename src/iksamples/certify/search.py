@@ -99,7 +99,7 @@ def certify_stack(
         network: Stacked networks, or a look-up table.
         chain: The arm.
         region: The inputs that it is about.
-        rtol: The search ends once upper <= (1 + rtol) lower.
+        rtol: The search ends once upper <= (1 + rtol) lower, or both are nearer than rounding.
         seeds: Points of the region worth trying, such as the training points, shape (n, in).
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
@@ -114,6 +114,8 @@ def certify_stack(
     began = time.perf_counter()
     objective = ErrorOverBoxes(network, chain, region, target, measure)
     n, region, slack = objective.n_networks, objective.region, objective.slack
+    # A table that keeps the orientation exactly has an error of 0, which no share comes near.
+    near = np.maximum(3.0 * slack, _FINE)
     best, argmax = _first_values(objective, seeds)
     part, low, edge = _first_boxes(region)
     which = np.repeat(np.arange(n), len(low))
@@ -150,7 +152,7 @@ def certify_stack(
 
         # Where an enclosure overflowed, the longest edge is as good as any.
         weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, ed)
-        done = bound <= np.maximum((1.0 + rtol) * best, best + 3.0 * slack)[w]
+        done = bound <= np.maximum((1.0 + rtol) * best, best + near)[w]
         _keep(kept, settled, keep_leaves, w, at, lo, ed, bound, done)
         of, lo, ed = _split(lo[~done], ed[~done], weight[~done], int(wait.sum()))
         w, at, bound = w[~done][of], at[~done][of], bound[~done][of]
@@ -160,7 +162,7 @@ def certify_stack(
         hopes = np.concatenate([hopes[wait], np.minimum(bound, _NO_BOUND)])
 
     seconds = (time.perf_counter() - began) / n
-    threshold = np.maximum((1.0 + rtol) * best, best + 3.0 * slack)
+    threshold = np.maximum((1.0 + rtol) * best, best + near)
     # Bounds that meet within more rounding than this have not met.
     fine = np.maximum(rtol * best, _FINE)
     leaves = _gather(kept, n) if keep_leaves else [None] * n
