@@ -17,6 +17,14 @@ from iksamples.study import NETWORK
 _SHARE = "Error, % of that network's"
 _DASHES: dict[str, Any] = {"proved": "-", "measured": (0, (4, 1.6)), "extrapolated": (0, (1, 1.4))}
 
+_AMOUNTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "proved": ("", {"marker": "o", "ms": 8, "color": figures.NETWORK}),
+    "measured": ("", {"marker": "o", "ms": 8, "color": figures.NETWORK, "mfc": "none", "mew": 1.8}),
+    "extrapolated": ("about ", {"marker": "D", "ms": 6, "color": figures.ESTIMATE, "mfc": "none"}),
+    "not enough": ("more than ", {"marker": ">", "ms": 8, "color": figures.MUTED}),
+}
+"""How a number of samples is known: what stands before it, and its mark."""
+
 
 def answer(data: ReportData) -> dict[str, Any]:
     """How many samples each method needs, and how the answer fared with fresh trainings."""
@@ -128,8 +136,9 @@ def _scaled(value: float | None, by: float) -> float | None:
     return None if value is None else by * value
 
 
+@figures.styled
 def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
-    """The samples that each method needs, fewest first."""
+    """The samples that each method needs, fewest first, for who looks once."""
     assert data.answer is not None
     rows = []
     for one in data.answer.variants:
@@ -139,21 +148,34 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
         n = one.shown.n_samples if how == "not enough" else one.n_samples
         line = f"{one.method}, {one.design}" if data.several_designs else one.method
         if data.learns[one.method]:
-            rows.append({"line": line, "n": n, "how": how})
+            rows.append((how == "not enough", n, line, how))
     if not rows:
         return None
-    table = pd.DataFrame(rows)
-    table = table.assign(open=table["how"] == "not enough").sort_values(
-        ["open", "n"], kind="stable"
-    )
+    rows.sort(key=lambda row: row[:2])
+    longest, height = max(len(line) for *_, line, _ in rows), 1.0 + 0.27 * len(rows)
+    figure, [[axis]] = figures.panels(
+        1, 1, height, 7.2, left=(0.3 + 0.072 * longest) / 7.2, right=0.97,
+        bottom=0.8 / height, top=1 - 0.12 / height,
+    )  # fmt: skip
+    for how, (sign, look) in _AMOUNTS.items():
+        places = [(row[1], y) for y, row in enumerate(rows) if row[3] == how]
+        if places:
+            axis.plot(*zip(*places, strict=True), ls="", label=how, clip_on=False, **look)
+        for n, y in places:
+            axis.annotate(
+                f"{sign}{n}", (n, y), (9, 0), textcoords="offset points", va="center", weight="bold"
+            )
+    sizes = [data.compared["n_samples"], pd.Series([n for _, n, *_ in rows])]
+    figures.scale([axis], "x", pd.concat(sizes), "")
+    axis.set_xlim(right=2.0 * axis.get_xlim()[1])  # room for the last number
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_yticks(range(len(rows)), [line for *_, line, _ in rows])
     wish = data.answer.tolerance
     what = {"worst": "worst", "mean": "mean"}.get(wish.of, wish.of)
     angle = f" and {wish.angle_deg:g}°" if wish.angle_deg else ""
-    return figures.amounts(
-        table.reset_index(),
-        sorted(data.compared["n_samples"].unique()),
-        f"samples for a {what} error of at most {wish.error_mm:g} mm{angle}",
-    )
+    axis.set_xlabel(f"samples for a {what} error of at most {wish.error_mm:g} mm{angle}")
+    figure.legend(loc="lower center", ncols=len(_AMOUNTS), borderaxespad=0.1)
+    return figures.Drawing(figure, {})
 
 
 def _needed_drawing(data: ReportData) -> figures.Drawing | None:

@@ -202,13 +202,6 @@ def _with_tips(text: str, group: str, lines: Sequence[str]) -> str:
 
 Look = Mapping[str, Any]
 
-AMOUNTS: Mapping[str, Look] = {
-    "proved": {"marker": "o", "ms": 8, "color": NETWORK},
-    "measured": {"marker": "o", "ms": 8, "color": NETWORK, "mfc": "none", "mew": 1.8},
-    "extrapolated": {"marker": "D", "ms": 6, "color": ESTIMATE, "mfc": "none", "mew": 1.8},
-    "not enough": {"marker": ">", "ms": 8, "color": MUTED},
-}
-"""How a number of samples is known, and its mark."""
 _COLUMNS = 3
 _BAND = 0.25, 0.75
 _DOTS_APART = 0.06
@@ -275,8 +268,8 @@ def lines(
         axis.set_title(str(title)[:1].upper() + str(title)[1:])
         if axis.xaxis.get_tick_params()["labelbottom"]:
             axis.set_xlabel(xlabel)
-    _scale(axes, "x", pd.concat([table[x], pd.Series([asked], dtype=float)]), linear)
-    _scale(axes, "y", pd.concat(drawn), linear)
+    scale(axes, "x", pd.concat([table[x], pd.Series([asked], dtype=float)]), linear)
+    scale(axes, "y", pd.concat(drawn), linear)
     for axis in axes[:: _columns(len(axes))]:
         axis.set_ylabel(ylabel)
     handles = [Line2D([], [], **dict(looks[name])) for name in names]
@@ -285,41 +278,6 @@ def lines(
         names.append("tolerance asked for")
     figure.legend(handles, names, loc="lower center", ncols=min(4, len(names)), borderaxespad=0.1)
     return Drawing(figure, tips)
-
-
-@styled
-def amounts(table: pd.DataFrame, sizes: Sequence[int], xlabel: str) -> Drawing:
-    """A number of samples per line of text, for who looks once.
-
-    Args:
-        table: From top to bottom: what needs them (``line``), the number (``n``) and how it is
-            known (``how``, one of ``AMOUNTS``).
-        sizes: The numbers of samples that were tried.
-        xlabel: Title of the horizontal axis.
-    """
-    names, height = list(table["line"]), 1.0 + 0.27 * len(table)
-    figure, [[axis]] = panels(
-        1, 1, height, 7.2, left=(0.3 + 0.072 * max(map(len, names))) / 7.2, right=0.97,
-        bottom=0.8 / height, top=1 - 0.12 / height,
-    )  # fmt: skip
-    place = np.arange(len(table))
-    signs = {"extrapolated": "about ", "not enough": "more than "}
-    for how, look in AMOUNTS.items():
-        rows = (table["how"] == how).to_numpy()
-        if rows.any():
-            axis.plot(table["n"][rows], place[rows], ls="", label=how, clip_on=False, **look)
-        for n, y in zip(table["n"][rows], place[rows], strict=True):
-            text = f"{signs.get(how, '')}{n}"
-            axis.annotate(
-                text, (n, y), (9, 0), textcoords="offset points", va="center", fontweight="bold"
-            )
-    _scale([axis], "x", pd.concat([table["n"], pd.Series(sizes)]), "")
-    axis.set_xlim(right=2.0 * axis.get_xlim()[1])  # room for the last number
-    axis.set_ylim(len(table) - 0.5, -0.5)
-    axis.set_yticks(place, names)
-    axis.set_xlabel(xlabel)
-    figure.legend(loc="lower center", ncols=len(AMOUNTS), borderaxespad=0.1)
-    return Drawing(figure, {})
 
 
 def colours(names: Sequence[str]) -> dict[str, Look]:
@@ -405,7 +363,7 @@ def _columns(n_panels: int) -> int:
     return 2 if n_panels == 4 else min(_COLUMNS, n_panels)
 
 
-def _scale(axes: Sequence[Axes], which: str, values: "pd.Series[float]", linear: str) -> None:
+def scale(axes: Sequence[Axes], which: str, values: "pd.Series[float]", linear: str) -> None:
     """Limits around the values; a logarithmic axis has its numbers at round or at given places."""
     limit = "set_xlim" if which == "x" else "set_ylim"
     if which in linear:
