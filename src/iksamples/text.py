@@ -50,6 +50,11 @@ def placed(study: Study, design: str) -> str:
     return "" if len(study.samples.designs) == 1 else f" {_PLACED.get(design, design)}"
 
 
+def trial(study: Study) -> str:
+    """What a seed of the study is: a training on the one arm, or another arm."""
+    return "arm" if study.arm else "training"
+
+
 def is_paper_recipe(method: Method) -> bool:
     """Whether a network has the paper's shape, activation and training."""
     return (

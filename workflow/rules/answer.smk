@@ -81,6 +81,7 @@ rule answer:
     """How many samples, by which method, and how sure."""
     input:
         runs="results/{study}/runs.parquet",
+        floor="results/{study}/floor/errors.parquet" if FLOOR else [],
     output:
         "results/{study}/answer.json",
         "results/{study}/samples-needed.csv",
@@ -91,7 +92,13 @@ rule answer:
     params:
         study="results/{study}/study.json",
         settings=settings(
-            "samples", "tolerance", "evaluation", "methods", "training", "network"
+            "arm",
+            "samples",
+            "tolerance",
+            "evaluation",
+            "methods",
+            "training",
+            "network",
         ),
         code=source_digest("iksamples.answer.assess"),
         results=results_folder,

@@ -183,6 +183,7 @@ LABELS = list(sample_sets(STUDY))
 FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))
 KINDS = {name: method.kind for name, method in STUDY.all_methods.items()}
 UNTRAINED = {name: kind for name, kind in KINDS.items() if kind != "network"}
+FLOOR = STUDY.arm is not None and not STUDY.arm.repeats
 ADAPTIVE = "adaptive" in STUDY.samples.designs
 
 # Of a module, Snakemake calls no `onstart`, and here it is not known yet whether this is a dry run.

@@ -8,6 +8,7 @@ REQUIRED INPUTS
     results/<study>/<method>/<samples>/weights.safetensors, where the method is a network
 OUTPUTS
     results/<study>/<method>/<samples>/{waypoints,cube,errors}.parquet
+    results/<study>/floor/errors.parquet, where arms do not repeat exactly
 """
 
 
@@ -73,3 +74,26 @@ if UNTRAINED:
         shell:
             '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} {params.methods}'
             " --results {params.results:q} 2> >(tee {log:q} >&2)"
+
+
+if FLOOR:
+
+    rule floor:
+        """Measure what simulated arms leave of the error of their own inverse."""
+        input:
+            samples=f"results/{{study}}/samples/{LABELS[0]}.parquet",
+        output:
+            "results/{study}/floor/errors.parquet",
+        log:
+            "results/{study}/logs/floor.log",
+        benchmark:
+            "results/{study}/benchmarks/floor.jsonl"
+        params:
+            study="results/{study}/study.json",
+            arm=ARM,
+            waypoints=WAYPOINTS,
+            settings=settings("robot", "arm", "task", "workspace", "evaluation"),
+            code=source_digest("iksamples.evaluation.floor"),
+        shell:
+            '"$IKSAMPLES_PYTHON" -P -m iksamples floor {params.study:q} {input.samples:q} --output {output:q}'
+            " 2> >(tee {log:q} >&2)"

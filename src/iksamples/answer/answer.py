@@ -157,6 +157,15 @@ class Confidence(Part):
     each: float = Field(description="Confidence at which each size of each of them is judged.")
 
 
+class Floor(Part):
+    """What the arms leave of the error of their own inverse: no samples can do better."""
+
+    error_median_mm: Number = Field(description="Median over the arms [mm].")
+    error_worst_mm: Number = Field(description="Of the worst arm [mm].")
+    n_arms: int = Field(description="Simulated arms.")
+    sentence: str = Field(description="The same in plain English.")
+
+
 class Answer(Part):
     """How many samples a study's tolerance takes, method by method."""
 
@@ -169,6 +178,9 @@ class Answer(Part):
     sizes: list[int] = Field(description="Numbers of samples tried.")
     region_share: float = Field(
         description="Share of the workspace that the arm can use: everything is over this part."
+    )
+    floor: Floor | None = Field(
+        None, description="What no samples can beat; null: the arm is its drawing."
     )
     headline: str = Field(description="The answer in one sentence.")
     variants: list[VariantAnswer] = Field(
@@ -261,7 +273,8 @@ def recommend(results: str | Path) -> str:
         IksamplesError: The study is not finished.
     """
     answer = read_answer(results)
-    blocks = [answer.headline]
+    blocks = [answer.floor.sentence] if answer.floor else []
+    blocks.append(answer.headline)
     for one in answer.variants:
         lines = [
             f"{one.method}, {one.design}: {one.description}",

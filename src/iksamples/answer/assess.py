@@ -13,16 +13,21 @@ from iksamples.answer.answer import (
     Confidence,
     Diagnosis,
     Extrapolation,
+    Floor,
     Size,
     Status,
     VariantAnswer,
 )
-from iksamples.answer.collect import Variant, read_runs, variants
+from iksamples.answer.collect import WORKSPACE, Variant, read_runs, variants
 from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
 from iksamples.answer.outcomes import outcomes
-from iksamples.answer.sentences import headline, told
+from iksamples.answer.sentences import floor_told, headline, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
+from iksamples.columns import RUNS
+from iksamples.evaluation.errors import CUBE
+from iksamples.evaluation.floor import FOLDER
+from iksamples.files import checked
 from iksamples.results import Cell
 from iksamples.stats import Floats, Interval, compare, seeds_needed
 from iksamples.study import NETWORK, Study
@@ -47,10 +52,16 @@ def answer_study(study: Study, results: str | Path) -> Answer:
     Raises:
         IksamplesError: The results are not complete, or contradict each other.
     """
-    return answer(study, outcomes(study, read_runs(results)), Path(results))
+    rows = outcomes(study, read_runs(results))
+    return answer(study, rows, Path(results), read_floor(study, results))
 
 
-def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> Answer:
+def answer(
+    study: Study,
+    rows: "pd.DataFrame",
+    results: Path | None = None,
+    floor: Floor | None = None,
+) -> Answer:
     """Answers the study's question from the outcomes of its methods.
 
     Args:
@@ -58,6 +69,7 @@ def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> A
         rows: What ``outcomes`` returned.
         results: Results folder, in whose files the reasons of a failure are looked for; None: they
             are not.
+        floor: What no samples can beat.
     """
     of_variants = variants(rows)
     confidence, sizes = judge(study, of_variants)
@@ -83,11 +95,38 @@ def answer(study: Study, rows: "pd.DataFrame", results: Path | None = None) -> A
         tolerance=study.tolerance,
         confidence=confidence,
         n_points=int(rows["n_points"].iloc[0]),
-        sizes=sorted({size.n_samples for one in methods for size in one.sizes}),
+        sizes=sorted({size.n_samples for one in methods for size in one.sizes} - {0}),
         region_share=share,
+        floor=floor,
         headline=headline(study, methods, confidence, share),
         variants=methods,
         comparisons=_comparisons(study, of_variants),
+    )
+
+
+def read_floor(study: Study, results: str | Path) -> Floor | None:
+    """What the study's arms leave of the error of their own inverse; None where it has none.
+
+    Args:
+        study: The study.
+        results: Its results folder.
+    """
+    import pandas as pd
+
+    if study.arm is None:
+        return None
+    n, errors = len(study.arms), np.zeros(1)
+    if not study.arm.repeats:
+        rows = pd.read_parquet(checked(Path(results) / FOLDER / "errors.parquet"))
+        rows["region"] = rows["region"].replace({CUBE: WORKSPACE})
+        rows = rows.reindex(columns=list(RUNS)).assign(diverged=False)
+        errors = outcomes(study, rows)["error_mm"].to_numpy(float)
+    middle, worst = float(np.median(errors)), float(errors.max())
+    return Floor(
+        error_median_mm=middle,
+        error_worst_mm=worst,
+        n_arms=n,
+        sentence=floor_told(study, middle, worst),
     )
 
 
@@ -154,14 +193,16 @@ def _verdict(
     found = answer_of(sizes)
     if found:
         return _Verdict("answered", found.n_samples, found, None, None)
-    beyond = extrapolate(study, variant, known, study.tolerance.error_mm)
-    seeds = None
+    beyond = seeds = None
+    if sizes[-1].n_samples:
+        beyond = extrapolate(study, variant, known, study.tolerance.error_mm)
     if is_random(study, variant.method):
         seeds = _seeds_to_settle(study, sizes[-1], confidence)
     if seeds:
         return _Verdict("more-seeds", None, None, seeds, beyond)
-    status: Status = "extrapolated" if beyond.n_samples else "open"
-    return _Verdict(status, beyond.n_samples, None, None, beyond)
+    if beyond is None or beyond.n_samples is None:
+        return _Verdict("open", None, None, None, beyond)
+    return _Verdict("extrapolated", beyond.n_samples, None, None, beyond)
 
 
 def _variant_answer(

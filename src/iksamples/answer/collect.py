@@ -13,6 +13,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.files import checked
+from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells, certified, networks
 from iksamples.study import Study
 
@@ -60,11 +61,15 @@ def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     sets: dict[str, SampleSet] = {}
     frames = []
     for name in study.all_methods:
-        for design in study.samples.designs:
+        learns = KINDS[study.all_methods[name].kind].needs_samples
+        # What needs no samples is the same whichever there are.
+        for design in study.samples.designs if learns else study.samples.designs[:1]:
             for cell in cells(study, results, name, design):
                 if cell.label not in sets:
                     sets[cell.label] = cell.samples
                 frames.append(_measured(study, cell, sets[cell.label]))
+                if not learns:
+                    break
     rows = pd.concat(frames, ignore_index=True)
     if rows.empty:
         raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
@@ -93,7 +98,7 @@ def certificates(study: Study, results: str | Path) -> "pd.DataFrame":
             raise IksamplesError(
                 f"{file}: cannot be read ({error}). Run the study to its end."
             ) from None
-    table = pd.concat(frames, ignore_index=True)
+    table = pd.concat(frames or [pd.DataFrame(columns=_KEYS)], ignore_index=True)
     if table.duplicated(_KEYS).any():
         raise IksamplesError(
             f"{results}: certificates.csv has a network twice. Delete it and run the study again."
@@ -147,7 +152,8 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
             "earlier version. Run the study again."
         )
     sound = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
-    n_trained = samples.n_samples
+    learns = KINDS[study.all_methods[cell.method].kind].needs_samples
+    n_samples = n_trained = samples.n_samples if learns else 0
     if trained:
         members = cell.table("members").set_index("seed")
         n_trained = int(members["n_trained"].iloc[0])
@@ -157,7 +163,7 @@ def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
             "method": cell.method,
             "design": samples.design,
             "label": cell.label,
-            "n_samples": samples.n_samples,
+            "n_samples": n_samples,
             "n_trained": n_trained,
             "spacing_mm": samples.spacing_mm,
             "fill_distance_mm": samples.fill_distance_mm,

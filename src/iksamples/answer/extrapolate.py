@@ -123,10 +123,10 @@ def forecast(study: Study, variant: Variant, n_samples: Floats, curves: Floats) 
         curves: As ``seen`` returned.
     """
     largest = float(n_samples[-1])
-    by_chance = is_random(study, variant.method)
+    by_chance, method = is_random(study, variant.method), study.all_methods[variant.method]
     if variant.design not in (*TENSOR, RECORDED):
         reason = "the error between scattered samples falls in leaps"
-    elif by_chance and study.all_methods[variant.method].training.optimizer != "adam":
+    elif method.kind == "network" and method.training.optimizer != "adam":
         reason = (
             "a network trained to convergence has a floor set by its neurons, which its learning "
             "curve does not show before it is reached"

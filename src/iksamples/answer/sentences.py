@@ -14,6 +14,7 @@ from iksamples.text import (
     placed,
     plain_millimetres,
     several,
+    trial,
     whole,
 )
 
@@ -25,23 +26,23 @@ _ASKED = {
     "proved": "For every point of {place} within {limit}",
     "worst": "For all {points} measured {along} {place} within {limit}",
 }
-_SURE = ", with {sure} that at least {share} of trainings succeed"
+_SURE = ", with {sure} that at least {share} of {trials} succeed"
 _SURE_OF_BEST = ", with {sure} that the best of {k} trainings succeeds at least {share} of the time"
 _CLAUSES = {
     "answered": "{what} needs {n} ({evidence}: {bound})",
     "nominal": "{what} needs none",
-    "more-seeds": "for {what}, {trainings} cannot tell ({seeds} might do)",
+    "more-seeds": "for {what}, {trials} cannot tell ({seeds} might do)",
     "extrapolated": "{what} needs more than {largest} (extrapolated: {n})",
     "open": "{what} needs more than {largest}",
 }
 _ANSWERED = {
-    "network": "With {samples}, {met}. The required share of trainings is within {bound} "
+    "by chance": "With {samples}, {met}. The required share of {trials} is within {bound} "
     "({evidence}).",
     "nominal": "It needs no samples; its error is {bound} ({evidence}).",
     "other": "With {samples} the error is {bound} ({evidence}), without chance.",
 }
 _MORE_SEEDS = (
-    "More trainings succeeded than required, but {trainings} cannot make sure of it: if the share "
+    "More {trials} succeeded than required, but {n} cannot make sure of it: if the share "
     "stays as it is, {seeds} would (training.seeds). Take fresh seeds: adding some until it holds "
     "would spoil the confidence."
 )
@@ -57,9 +58,10 @@ def headline(
 ) -> str:
     """What is required, the variant that needs fewest samples, and what others need.
 
-    The drawing's inverse is a reference and recommended to nobody who asks for samples.
+    Of an arm that is its drawing, the drawing's inverse is a reference, and recommended to nobody
+    who asks for samples.
     """
-    candidates = [one for one in variants if one.kind != "nominal"] or list(variants)
+    candidates = [one for one in variants if one.kind != "nominal" or study.arm] or list(variants)
     answered = [one for one in candidates if one.found]
     answered.sort(
         key=lambda one: (
@@ -79,7 +81,7 @@ def headline(
     ]
     rest = [one for i, one in enumerate(others) if one not in best and one not in others[:i]]
     lead = [
-        f"{several(one.shown.n_samples, 'sample')}{placed(study, one.design)} and "
+        f"{_samples(one.shown)}{placed(study, one.design) if one.n_samples else ''} and "
         f"{described(study, one.method)} ({_evidence(study, one.shown)}: {_bound(one.shown)})"
         for one in best
     ]
@@ -92,11 +94,13 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
     size, beyond = one.shown, one.extrapolation
     lines = []
     if one.found:
-        kind = one.kind if one.kind in _ANSWERED else "other"
+        by_chance = size.success_rate_lcb is not None
+        kind = "by chance" if by_chance else "nominal" if one.kind == "nominal" else "other"
         lines.append(
             _ANSWERED[kind].format(
-                samples=several(size.n_samples, "sample"),
+                samples=_samples(size),
                 met=_met(study, size, confidence),
+                trials=f"{trial(study)}s",
                 bound=_bound(size),
                 evidence=_evidence(study, size),
             )
@@ -105,11 +109,13 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
             smaller = one.smaller
             fails = _failing(study, smaller, confidence) if smaller else ""
             lines.append(f"One size below fails: {fails}." if fails else "Fewer were not tried.")
+    elif one.kind == "nominal":
+        lines.append(f"It fails, and no samples change it: {_failing(study, size, confidence)}.")
     else:
         lines.append(f"The most samples tried fail: {_failing(study, size, confidence)}.")
     if one.seeds_needed:
-        trainings, seeds = several(size.n_seeds, "training"), whole(one.seeds_needed)
-        lines.append(_MORE_SEEDS.format(trainings=trainings, seeds=seeds))
+        n, seeds = whole(size.n_seeds), whole(one.seeds_needed)
+        lines.append(_MORE_SEEDS.format(trials=f"{trial(study)}s", n=n, seeds=seeds))
     elif beyond and beyond.needed:
         lines.append(
             _EXTRAPOLATED.format(
@@ -129,11 +135,33 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
         lines.append(f"{which} samples meet it as well, but a larger size does not: not counted.")
     if size.n_undecided:
         lines.append(
-            f"With {several(size.n_samples, 'sample')} "
-            f"{several(size.n_undecided, 'training')} counted as failed may succeed: the search "
+            f"With {_samples(size)} "
+            f"{several(size.n_undecided, trial(study))} counted as failed may succeed: the search "
             "for the certificate ended too early to tell."
         )
     return lines
+
+
+def floor_told(study: Study, median_mm: float, worst_mm: float) -> str:
+    """What no number of samples can beat, and whether that is too much already.
+
+    Args:
+        study: The study, with an ``arm`` section.
+        median_mm: The error of an arm's own inverse that the tolerance is about, median arm [mm].
+        worst_mm: The same of the worst arm [mm].
+    """
+    n = several(len(study.arms), "simulated arm")
+    if not worst_mm:
+        return f"Repeatability of the {n}: exact."
+    text = (
+        f"Repeatability of the {n}: knowing it exactly, the median arm is off by "
+        f"{millimetres(median_mm)} and the worst by {millimetres(worst_mm)} (play and steps of "
+        "the joints, measured), which no number of samples can beat."
+    )
+    limit = study.tolerance.error_mm
+    if median_mm > limit:
+        text += f" That is more than the {plain_millimetres(limit)} asked for."
+    return text
 
 
 def _over(region_share: float) -> str:
@@ -169,17 +197,20 @@ def _asked(
         return text
     sure = _SURE if tolerance.best_of == 1 else _SURE_OF_BEST
     return text + sure.format(
-        sure=_confidence(confidence), share=percent(tolerance.success_share), k=tolerance.best_of
+        sure=_confidence(study, confidence),
+        share=percent(tolerance.success_share),
+        trials=f"{trial(study)}s",
+        k=tolerance.best_of,
     )
 
 
-def _confidence(confidence: Confidence) -> str:
+def _confidence(study: Study, confidence: Confidence) -> str:
     """``95 % confidence``, and for how many variants at once."""
     text = f"{percent(confidence.together)} confidence"
     if confidence.n_variants == 1:
         return text
     all_of_them = "both" if confidence.n_variants == 2 else f"all {confidence.n_variants}"
-    return f"{text} for {all_of_them} variants of networks together"
+    return f"{text} for {all_of_them} {'methods' if study.arm else 'variants of networks'} together"
 
 
 def _clause(study: Study, one: VariantAnswer) -> str:
@@ -192,27 +223,27 @@ def _clause(study: Study, one: VariantAnswer) -> str:
         largest=whole(size.n_samples),
         evidence=_evidence(study, size),
         bound=_bound(size),
-        trainings=several(size.n_seeds, "training"),
+        trials=several(size.n_seeds, trial(study)),
         seeds=whole(one.seeds_needed or 0),
     )
 
 
 def _met(study: Study, size: Size, confidence: Confidence) -> str:
     """How many trainings succeeded, and what follows for all."""
-    met = f"{size.n_met} of {several(size.n_seeds, 'training')} succeed"
+    met = f"{size.n_met} of {several(size.n_seeds, trial(study))} succeed"
     if not size.success_rate_lcb:
         return met
     best_of = study.tolerance.best_of
-    who = "of trainings do" if best_of == 1 else f"of the time the best of {best_of} does"
+    who = f"of {trial(study)}s do" if best_of == 1 else f"of the time the best of {best_of} does"
     lower = percent_down(size.success_rate_lcb)
-    return f"{met}; with {_confidence(confidence)} at least {lower} {who}"
+    return f"{met}; with {_confidence(study, confidence)} at least {lower} {who}"
 
 
 def _failing(study: Study, size: Size, confidence: Confidence) -> str:
     """How far a size is from what is required."""
     excess_mm = round(size.tolerance_bound_mm - study.tolerance.error_mm, 9)
     much = f", {millimetres(excess_mm)} too much" if np.isfinite(excess_mm) else ""
-    samples = several(size.n_samples, "sample")
+    samples = _samples(size)
     if size.success_rate_lcb is None:
         return f"with {samples} the error is {_bound(size)}{much}"
     share = percent(study.tolerance.success_share)
@@ -223,6 +254,10 @@ def _failing(study: Study, size: Size, confidence: Confidence) -> str:
 def _evidence(study: Study, size: Size) -> str:
     """``certified``, or how it was measured."""
     return "certified" if size.certified else f"measured at {_points(study, size)}, not certified"
+
+
+def _samples(size: Size) -> str:
+    return several(size.n_samples, "sample") if size.n_samples else "no samples"
 
 
 def _points(study: Study, size: Size) -> str:

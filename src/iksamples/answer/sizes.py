@@ -44,9 +44,13 @@ class Trials(NamedTuple):
 
 
 def is_random(study: Study, method: str) -> bool:
-    """Whether chance has a part in a method: a network's seed, or which records it was given."""
+    """Whether chance has a part in a method: a network's seed, the arm, or which records it got."""
     kind = KINDS[study.all_methods[method].kind]
-    return kind.stochastic or (study.samples.recorded is not None and kind.needs_samples)
+    return (
+        kind.stochastic
+        or study.arm is not None
+        or (study.samples.recorded is not None and kind.needs_samples)
+    )
 
 
 def by_size(rows: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":

@@ -94,8 +94,17 @@ class RealArm:
         Args:
             actual: Joint values [rad or mm], shape (..., points, joints).
         """
+        unloaded = self.unloaded(actual)
+        return self._stepped(unloaded - self._play(unloaded.shape))
+
+    def unloaded(self, actual: ArrayLike) -> Floats:
+        """Where the joints would be without their load.
+
+        Args:
+            actual: Joint values [rad or mm], shape (..., points, joints).
+        """
         actual = np.asarray(actual, float)
-        return self._stepped(actual - self._sag(actual) - self._play(actual.shape))
+        return actual - self._sag(actual)
 
     def _settled(self, actual: Floats, unloaded: Floats) -> Floats:
         if not self.payload_kg:

@@ -2,7 +2,6 @@
 
 import shlex
 from pathlib import Path
-from shutil import copyfile
 from typing import Annotated
 
 import typer
@@ -95,6 +94,21 @@ def evaluate(
             for kind, table in tables.items():
                 with kept_file(cell / f"{kind}.parquet") as file:
                     table.to_parquet(file)
+
+
+@app.command()
+def floor(study_file: StudyFile, samples_files: SamplesFiles, output: Output) -> None:
+    """Measure what the arms leave of the error of their own inverse: no samples can do better."""
+    from iksamples.evaluation.floor import repeatability
+    from iksamples.study import read_study
+    from iksamples.task import study_task
+
+    study = read_study(study_file)
+    if not study.arm:
+        raise IksamplesError(f"{study_file}: the arm is its drawing; there is no arm section.")
+    task = study_task(study, load_samples(samples_files[:1])[0].region)
+    with kept_file(output) as file:
+        repeatability(study, task).to_parquet(file)
 
 
 @app.command()
@@ -236,7 +250,10 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         to_json,
     )
     from iksamples.results import sample_sets
+    from iksamples.samples.arms import on_arms
+    from iksamples.samples.dataset import SampleSet
     from iksamples.study import NETWORK, read_study
+    from iksamples.task import study_task
 
     study, answer = read_study(study_file), read_answer(results)
     if not study.replication.seeds:
@@ -252,8 +269,9 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
             file.write_text(fresh.model_dump_json(indent=2) + "\n", encoding="utf-8")
         sets = [folder / "samples" / f"{label}.parquet" for label in sample_sets(fresh)]
         for samples in sets:
+            recorded = SampleSet.load(results / "samples" / samples.name)
             with kept_file(samples) as file:
-                copyfile(checked(results / "samples" / samples.name), file)
+                on_arms(fresh, study_task(fresh, recorded.region), recorded).save(file)
         train(settings, sets, folder, folder / "cache")
         evaluate(settings, sets, [NETWORK], folder)
         prove(settings, sets, NETWORK, network, network / "certificates.csv")

@@ -18,7 +18,7 @@ from iksamples.study.training import Method, Network, Training
 NETWORK = "network"
 """Name of the method that a study's own ``network`` and ``training`` sections describe."""
 
-_FOLDERS = ("benchmarks", "cache", "fresh", "logs", "recordings", "samples")
+_FOLDERS = ("benchmarks", "cache", "floor", "fresh", "logs", "recordings", "samples")
 """What lies in the results beside the folders of the methods."""
 
 
@@ -125,6 +125,11 @@ class Study(Section):
     def _the_paper_has_no_other_arm(self) -> "Study":
         if self.paper and self.arm:
             raise ValueError("'arm' is no part of the paper's own case; leave out 'paper' or 'arm'")
+        if self.arm and self.tolerance.best_of > 1:
+            raise ValueError(
+                "'tolerance.best_of' chooses among trainings on one arm, and with 'arm' each is on "
+                "another; leave it out"
+            )
         return self
 
     @model_validator(mode="after")
