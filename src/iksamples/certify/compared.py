@@ -17,7 +17,7 @@ nothing is lost where all axes are parallel, as a SCARA's; elsewhere two short c
 than one long one.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -43,6 +43,8 @@ class Compared:
 
     Attributes:
         chain: What carries it: the arm, or a chain of its turns alone.
+        behind: The same without the inputs in front. Turns in front of a chain change no length,
+            and so nothing of what rounding does behind.
         angles: The inputs whose opposites are the chain's first joints [rad].
         outputs: The network's outputs that are its other joints.
         rows: Which of the vector's coordinates count.
@@ -51,27 +53,12 @@ class Compared:
     """
 
     chain: SerialChain
+    behind: SerialChain
     angles: tuple[int, ...]
     outputs: tuple[int, ...]
     rows: tuple[int, ...]
     inputs: tuple[int, ...]
     goal: SerialChain | None = None
-
-    def behind(self) -> SerialChain:
-        """The chain without the inputs in front.
-
-        Turns in front of a chain change no length, and so nothing of what rounding does behind.
-        """
-        ahead = len(self.angles)
-        return replace(
-            self.chain,
-            joint_names=self.chain.joint_names[ahead:],
-            joint_kinds=self.chain.joint_kinds[ahead:],
-            axes=self.chain.axes[ahead:],
-            points_mm=self.chain.points_mm[ahead:],
-            lower=self.chain.lower[ahead:],
-            upper=self.chain.upper[ahead:],
-        )
 
 
 def target_of(n_inputs: int) -> Target:
@@ -80,13 +67,13 @@ def target_of(n_inputs: int) -> Target:
 
 
 def compared(
-    chain: SerialChain, target: Target, measure: Measure, n_inputs: int, n_outputs: int
+    chain: SerialChain, target: Target | None, measure: Measure, n_inputs: int, n_outputs: int
 ) -> list[Compared]:
     """The vectors whose errors make up a measure: the root of the sum of their squares does.
 
     Args:
         chain: The arm.
-        target: What is asked of the tool.
+        target: What is asked of the tool; ``target_of`` the inputs if None.
         measure: ``"position"`` [mm] or ``"angle"`` [rad].
         n_inputs: Inputs of the network.
         n_outputs: Outputs of the network.
@@ -94,6 +81,7 @@ def compared(
     Raises:
         IksamplesError: The arm, the target and the network do not fit together.
     """
+    target = target or target_of(n_inputs)
     if n_outputs != chain.n_joints:
         raise IksamplesError(
             f"the network answers {n_outputs} joint values, the arm has {chain.n_joints} joints."
@@ -107,7 +95,7 @@ def compared(
     if measure == "position":
         inputs = tuple(range(len(positions)))
         every = tuple(range(n_outputs))
-        return [Compared(chain, (), every, positions, inputs)]
+        return [Compared(chain, chain, (), every, positions, inputs)]
     if target.orientation == "free":
         raise IksamplesError("nothing is asked of the tool's orientation, so it has no error.")
     # The outermost turn first: about z, then y, then x.
@@ -116,9 +104,11 @@ def compared(
     turning = [i for i, kind in enumerate(chain.joint_kinds) if kind == "revolute"]
     axes = [*about, *chain.axes[turning]]
     parallel = bool(asked) and np.linalg.norm(np.cross(axes[0], axes), axis=1).max() <= PARALLEL
+    own = axes[len(asked) :]
     return [
         Compared(
-            _turns(axes if parallel else axes[len(asked) :], chain.tip_rotation[:, k]),
+            _turns(axes if parallel else own, chain.tip_rotation[:, k]),
+            _turns(own, chain.tip_rotation[:, k]),
             tuple(asked) if parallel else (),
             tuple(turning),
             (0, 1, 2),

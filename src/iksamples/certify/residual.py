@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.target import Target
-from iksamples.certify.compared import Compared, Measure, angle_rad, compared, target_of
+from iksamples.certify.compared import Compared, Measure, angle_rad, compared
 from iksamples.certify.enclosure import (
     Expansion,
     corners,
@@ -132,15 +132,12 @@ class ErrorOverBoxes:
         self.region = self.answers.pieces(region)
         self.extent = region.upper_corner - region.lower_corner
         self.measure = measure
+        items = compared(chain, target, measure, inputs, self.answers.n_outputs)
         self.vectors = [
             _Carried(item, Linkage.of(item.chain), Linkage.of(item.goal) if item.goal else None)
-            for item in compared(
-                chain, target or target_of(inputs), measure, inputs, self.answers.n_outputs
-            )
+            for item in items
         ]
-        self.apart_slack = _SLACK * np.sqrt(
-            sum(search_slack(self.answers, v.item, v.behind(), region) ** 2 for v in self.vectors)
-        )
+        self.apart_slack = _SLACK * search_slack(self.answers, items, region)
 
     @property
     def n_networks(self) -> int:
@@ -228,10 +225,6 @@ class _Carried:
     item: Compared
     linkage: Linkage
     goal: Linkage | None
-
-    def behind(self) -> Linkage:
-        """The chain without the inputs in front, taken apart."""
-        return Linkage.of(self.item.behind()) if self.item.angles else self.linkage
 
     def miss(self, joints: Floats, points: Floats) -> Floats:
         """The residual at points, shape (points, rows)."""

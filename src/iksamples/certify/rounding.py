@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.target import Target
-from iksamples.certify.compared import Compared, Measure, angle_rad, compared, target_of
+from iksamples.certify.compared import Compared, Measure, angle_rad, compared
 from iksamples.certify.jets import Linkage
 from iksamples.certify.layers import Layers
 from iksamples.certify.table import Table
@@ -63,9 +63,8 @@ def inference_slack(
         overflows.
     """
     layers = Layers.of(network)
-    target = target or target_of(layers.n_inputs)
     items = compared(chain, target, measure, layers.n_inputs, layers.n_outputs)
-    arms = [Linkage.of(item.behind()) for item in items]
+    arms = [Linkage.of(item.behind) for item in items]
     n, d = region.lower.shape
     per_axis = max(1, int((_BOXES / n) ** (1.0 / d) + 1e-9))
     share = (np.indices((per_axis,) * d).reshape(d, -1).T + 0.5) / per_axis
@@ -108,35 +107,32 @@ def stored_slack(
         One bound per network [mm or rad], shape (networks,).
     """
     layers = Layers.of(network)
-    target = target or target_of(layers.n_inputs)
     items = compared(chain, target, measure, layers.n_inputs, layers.n_outputs)
-    linkages = [Linkage.of(item.behind()) for item in items]
-    squares = sum(
-        search_slack(layers, item, linkage, region) ** 2
-        for item, linkage in zip(items, linkages, strict=True)
-    )
-    slack = np.sqrt(squares)
+    slack = search_slack(layers, items, region)
     return slack if measure == "position" else angle_rad(slack, len(items))
 
 
-def search_slack(
-    answers: Layers | Table, item: Compared, linkage: Linkage, region: Region
-) -> Floats:
+def search_slack(answers: Layers | Table, items: list[Compared], region: Region) -> Floats:
     """What rounding does where the search evaluates networks and arm in float64, shape (networks,).
 
     Args:
         answers: The networks, or a look-up table.
-        item: What is compared.
-        linkage: The chain that carries it, without the inputs in front.
+        items: What is compared; the root of the sum of the squares is bounded.
         region: The inputs that it is about.
     """
-    if isinstance(answers, Table):
-        return answers.rounding_mm(linkage, list(item.outputs), region)
     lower, upper = region.lower_corner, region.upper_corner
     n = answers.n_networks
     centre, radius = np.tile(0.5 * (lower + upper), (n, 1)), np.tile(0.5 * (upper - lower), (n, 1))
-    box = np.arange(n), centre, radius, FLOAT64
-    return rounding_mm(answers, linkage, item.outputs, *box, arm_too=True)
+    squares = np.zeros(n)
+    for item in items:
+        arm = Linkage.of(item.behind)
+        if isinstance(answers, Table):
+            slack = answers.rounding_mm(arm, list(item.outputs), region)
+        else:
+            box = np.arange(n), centre, radius, FLOAT64
+            slack = rounding_mm(answers, arm, item.outputs, *box, arm_too=True)
+        squares = squares + slack**2
+    return np.sqrt(squares)
 
 
 def rounding_mm(
