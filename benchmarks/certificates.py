@@ -1,19 +1,21 @@
 """Measures the certificates: cost, dense checks, an attack, agreement with another verifier.
 
-    python benchmarks/certificates.py        # about ten minutes on one core
-    python benchmarks/certificates.py attack # the attack alone
+    python benchmarks/certificates.py             # everything: half an hour on one core
+    python benchmarks/certificates.py cost dense  # parts of it: cost, checked, dense, attack, peer
 
-Prints what docs/certificates.md states. Networks are trained here, through the arm; the forward
-kinematics and the networks' answers that certificates are held against are written here as well.
-auto_LiRPA is left out where it cannot be imported.
+Prints what docs/certificates.md states; times are those of the processor. Networks are trained
+here, through the arm; the forward kinematics and the networks' answers that certificates are held
+against are written here as well. auto_LiRPA is left out where it cannot be imported.
 """
 
 import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +26,7 @@ from iksamples.arm.chain import SerialChain
 from iksamples.arm.load import load_arm
 from iksamples.arm.target import COORDINATES, Target
 from iksamples.certify.checker import Claim, verify
-from iksamples.certify.search import certify_stack
+from iksamples.certify.search import Certificate, certify_stack
 from iksamples.network import StackedMLP
 from iksamples.region import Region
 
@@ -168,38 +170,57 @@ def upright(arm: str) -> np.ndarray:
     return forward(chain, torch.tensor(middle, dtype=F64)[None])[1][0].numpy()
 
 
-def cost(title: str, cases: list[Case], rtol: float, target: Target | None = None) -> None:
-    """Prints a row of the table: of positions, or of angles where a target is given."""
-    asked = {"target": target, "measure": "angle"} if target else {}
-    seconds, boxes, complete, sizes = [], [], True, []
-    for chain, stack, lower, upper in cases:
-        times = []
-        for _ in range(5 if len(lower) == 3 else 1):
-            began = time.perf_counter()
-            [found] = certify_stack(
-                stack.select([0]), chain, Region.box(lower, upper), rtol=rtol, **asked
-            )
-            times.append(time.perf_counter() - began)
-        seconds.append(1e3 * np.median(times))
-        boxes.append(found.boxes)
-        sizes.append(np.degrees(found.upper) if target else found.upper)
-        complete &= found.complete
+def turned_to(arm: str) -> dict:
+    """What is asked where an angle is to be certified."""
+    return {"target": Target(COORDINATES, "fixed", upright(arm)), "measure": "angle"}
+
+
+def enclosed(case: Case, rtol: float, asked: dict, *, kept: bool = False) -> Certificate:
+    """Certifies a case; ``asked`` are a target and a measure, or nothing."""
+    chain, stack, lower, upper = case
+    region = Region.box(lower, upper)
+    return certify_stack(stack, chain, region, rtol=rtol, keep_leaves=kept, **asked)[0]
+
+
+def spent(do: Callable[[], Any], times: int = 1) -> tuple[float, Any]:
+    """Processor time [ms] in the median of some times, and what came out."""
+    all_ms = []
+    for _ in range(times):
+        began = time.process_time()
+        result = do()
+        all_ms.append(1e3 * (time.process_time() - began))
+    return float(np.median(all_ms)), result
+
+
+def cost(title: str, cases: list[Case], rtol: float, asked: dict) -> None:
+    """Prints a row of the table."""
+    seen = []
+    for case in cases:
+        took, found = spent(partial(enclosed, case, rtol, asked), 5 if len(case[2]) == 3 else 1)
+        seen.append((np.degrees(found.upper) if asked else found.upper, took, found.boxes))
+        if not found.complete:
+            print("not complete:")
+    sizes, ms, boxes = zip(*seen, strict=True)
     print(
-        f"| {title} | {len(cases)} | {rtol:.1%} | {min(sizes):.1f} to {max(sizes):.1f} "
-        f"| {np.median(seconds):.1f} | {max(seconds):.1f} "
-        f"| {np.median(boxes):.0f} | {max(boxes)} |{'' if complete else ' INCOMPLETE'}",
+        f"| {title} | {len(cases)} | {rtol:.0%} | {min(sizes):.1f} to {max(sizes):.1f} "
+        f"| {np.median(ms):.1f} | {max(ms):.1f} | {np.median(boxes):.0f} | {max(boxes)} |",
         flush=True,
     )
 
 
-def plain_errors(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
-    """Errors [mm] on the paper's arm, whose forward kinematics is written out."""
+def plain_answer(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
+    """Joint values, shape (points, joints)."""
     hidden = (points - stack.offset_mm) / stack.scale_mm
     for depth, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
         hidden = hidden @ np.float64(weight[0]) + np.float64(bias[0])
         if depth + 1 < len(stack.weights):
             hidden = np.tanh(hidden) if stack.activation == "tanh" else hidden * (hidden > 0)
-    q1, q2, q3 = hidden.T
+    return hidden
+
+
+def plain_errors(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
+    """Errors [mm] on the paper's arm, whose forward kinematics is written out."""
+    q1, q2, q3 = plain_answer(stack, points).T
     radius = -70 * (np.sin(q2) + np.sin(q2 + q3))
     x, y, z = points.T
     return np.sqrt(
@@ -209,47 +230,85 @@ def plain_errors(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
     )
 
 
-def dense(cases: list[Case], n: int = 10**7) -> None:
-    """Holds certificates against dense points."""
+def turned(vectors: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Vectors (3, ..., n) turned about a coordinate axis, either way round."""
+    i = int(np.abs(axis).argmax())
+    j, k = (i + 1) % 3, (i + 2) % 3
+    sine, cosine = axis[i] * np.sin(angles), np.cos(angles)
+    result = np.array(np.broadcast_to(vectors, (*vectors.shape[:-1], len(angles))))
+    result[j], result[k] = (
+        cosine * vectors[j] - sine * vectors[k],
+        sine * vectors[j] + cosine * vectors[k],
+    )
+    return result
+
+
+def plain_misses(case: Case, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Errors [mm], and of six inputs angles [rad], on arms whose axes are coordinate axes."""
+    chain, stack, _, _ = case
+    joints = plain_answer(stack, points)
+    tip, tool = chain.tip_mm[:, None], np.eye(3)[:, :, None]
+    for i in reversed(range(chain.n_joints)):
+        point = chain.points_mm[i][:, None]
+        tip = turned(tip - point, chain.axes[i], joints[:, i]) + point
+        if points.shape[1] == 6:
+            tool = turned(tool, chain.axes[i], joints[:, i])
+    apart = np.linalg.norm(tip - points.T[:3], axis=0)
+    if points.shape[1] < 6:
+        return apart, None
+    asked = upright("6R")[:, :, None]
+    for axis, angles in zip(np.eye(3), points.T[3:], strict=True):
+        asked = turned(asked, axis, angles)
+    between = np.einsum("ikn,jkn->ijn", tool, asked)
+    twist = [between[j, i] - between[i, j] for i, j in ((0, 1), (1, 2), (2, 0))]
+    return apart, np.arctan2(np.linalg.norm(twist, axis=0), np.einsum("iin->n", between) - 1)
+
+
+def dense(cases: list[Case], rtol: float, n: int = 10**7) -> None:
+    """Holds certificates against dense points, a quarter of whose coordinates are on faces."""
     rng = np.random.default_rng(0)
-    above, parts = 0, []
-    for chain, stack, lower, upper in cases:
-        [found] = certify_stack(stack.select([0]), chain, Region.box(lower, upper))
-        largest = 0.0
-        for _ in range(n // 50_000):
-            errors = plain_errors(stack, rng.uniform(lower, upper, (50_000, 3)))
-            above += int((errors > found.upper).sum())
-            largest = max(largest, float(errors.max()))
-        parts.append(largest / found.upper)
+    above, parts = np.zeros(2, int), []
+    for case in cases:
+        _, _, lower, upper = case
+        measures = ({}, turned_to("6R"))[: 2 if len(lower) == 6 else 1]
+        bounds = [enclosed(case, rtol, asked).upper for asked in measures]
+        largest = np.zeros(len(bounds))
+        for _ in range(n // 20_000):
+            share = rng.uniform(size=(20_000, len(lower)))
+            share = np.where(rng.uniform(size=share.shape) < 0.25, share.round(), share)
+            misses = plain_misses(case, lower + (upper - lower) * share)
+            for k, bound in enumerate(bounds):
+                above[k] += int((misses[k] > bound).sum())
+                largest[k] = max(largest[k], misses[k].max())
+        parts.append(largest / bounds)
+    shares = np.concatenate(parts)
     print(
-        f"{len(cases)} networks, {n:.0e} points each: {above} above; the largest of the points is "
-        f"{min(parts):.1%} to {max(parts):.2%} of the bound",
+        f"{len(cases)} networks, {len(shares)} bounds at {rtol:.1%}, {n:.0e} points each: above "
+        f"are {above[0]} positions and {above[1]} angles; the largest of the points is "
+        f"{shares.min():.1%} to {shares.max():.2%} of the bound",
         flush=True,
     )
 
 
-def checked(cases: list[Case], rtol: float) -> None:
+def checked(title: str, cases: list[Case], rtol: float, asked: dict) -> None:
     """Has the checker prove certificates again, with every rounding counted."""
     seconds, apart, leaves, proved = [], [], [], 0
-    for chain, stack, lower, upper in cases:
-        [found] = certify_stack(
-            stack.select([0]), chain, Region.box(lower, upper), rtol=rtol, keep_leaves=True
-        )
-        began = time.perf_counter()
-        result = verify(
-            Claim(
-                stack, 0, chain, Region.box(lower, upper), found.upper, found.lower, found.argmax
-            ),
-            found.leaves,
-        )
-        seconds.append(time.perf_counter() - began)
+    for case in cases:
+        found = enclosed(case, rtol, asked, kept=True)
+        chain, stack, lower, upper = case
+        claim = Claim(
+            stack, 0, chain, Region.box(lower, upper), found.upper, found.lower, found.argmax,
+            **asked,
+        )  # fmt: skip
+        took, result = spent(partial(verify, claim, found.leaves))
+        seconds.append(1e-3 * took)
         proved += result.verified
         apart.append(found.upper - result.upper)
         leaves.append(result.leaves)
     print(
-        f"checker: {proved} of {len(cases)} proved, bounds at most {max(apart):.1e} mm below the "
-        f"search's; median {np.median(leaves):.0f} leaves in {np.median(seconds):.2f} s, "
-        f"at most {max(leaves)} in {max(seconds):.2f} s",
+        f"checker, {title}: {proved} of {len(cases)} proved, bounds at most {max(apart):.0e} below "
+        f"the search's; median {np.median(leaves):.0f} leaves in {np.median(seconds):.2f} s, at "
+        f"most {max(leaves)} in {max(seconds):.2f} s",
         flush=True,
     )
 
@@ -305,9 +364,8 @@ def agreement(cases: list[Case], rtol: float = 0.05) -> None:
     """Certifies the same networks with auto_LiRPA by plain branch and bound."""
     both, seconds, mine, ratios = 0, [], [], []
     for chain, stack, lower, upper in cases:
-        began = time.perf_counter()
-        [found] = certify_stack(stack.select([0]), chain, Region.box(lower, upper), rtol=rtol)
-        mine.append(time.perf_counter() - began)
+        took, found = spent(partial(enclosed, (chain, stack, lower, upper), rtol, {}))
+        mine.append(1e-3 * took)
         bounds, largest, settled = lirpa_bounds(stack), 0.0, 0.0
         began = time.perf_counter()
         corners = lower + (upper - lower) * np.stack(np.meshgrid(*[[0, 1]] * 3), -1).reshape(-1, 3)
@@ -348,18 +406,8 @@ def main() -> None:
     with Path("/proc/cpuinfo").open() as lines:
         print(next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "?"))
     print(f"numpy {np.__version__}, torch {torch.__version__}, one core")
-    if "attack" in sys.argv[1:]:
-        attack(
-            [
-                train("3R", "position", hidden, kind, seed)
-                for hidden in ((16,), (16, 16))
-                for kind in ("relu", "tanh")
-                for seed in range(3)
-            ],
-            plain_errors,
-        )
-        return
-    small: list[Case] = []
+    parts = set(sys.argv[1:]) or {"cost", "checked", "dense", "attack", "peer"}
+    angle = turned_to("6R")
     for arm, task, hidden, seeds, rtol in (
         ("3R", "position", (16,), 5, 0.01),
         ("3R", "position", (16, 16), 5, 0.01),
@@ -370,23 +418,41 @@ def main() -> None:
         ("6R", "pose", (32, 32), 3, 0.05),
         ("6R", "posture", (32, 32), 3, 0.05),
     ):
-        for activation in ("relu", "tanh"):
+        for activation in ("relu", "tanh") if "cost" in parts else ():
             cases = [train(arm, task, hidden, activation, seed) for seed in range(seeds)]
-            small += cases if arm == "3R" else []
             shape = "-".join(str(len(b[0])) for b in cases[0][1].biases)
             title = f"{arm} {task}, {len(cases[0][2])}-{shape} {activation}"
-            cost(title, cases, rtol)
+            cost(title, cases, rtol, {})
             if task == "pose":
-                target = Target(COORDINATES, "fixed", upright(arm))
-                cost(f"{title}, angle [deg]", cases, rtol, target)
-    checked(small, 0.01)
-    checked([train("6R", "pose", (32,), kind, 0) for kind in ("relu", "tanh")], 0.05)
-    dense(small)
-    attack(small[::2], plain_errors)
-    try:
-        agreement(small[::4])
-    except ImportError as error:
-        print(f"second verifier left out: {error}")
+                cost(f"{title}, angle [deg]", cases, rtol, angle)
+    kinds = ("relu", "tanh")
+    small = [
+        train("3R", "position", hidden, kind, seed)
+        for hidden in ((16,), (16, 16))
+        for kind in kinds
+        for seed in range(5 if parts & {"checked", "dense"} else 3)
+        if parts & {"checked", "dense", "attack", "peer"}
+    ]
+    if parts & {"checked", "dense"}:
+        poses = [train("6R", "pose", (32,), kind, seed) for kind in kinds for seed in range(3)]
+    if "checked" in parts:
+        checked("3R position", small, 0.01, {})
+        checked("6R pose", poses, 0.05, {})
+        checked("6R pose, angle [rad]", poses, 0.05, angle)
+    if "dense" in parts:
+        dense(poses, 0.05)
+        dense(
+            [train(arm, "position", (32, 32), kind, 0) for arm in ("6R", "7R") for kind in kinds],
+            0.01,
+        )
+        dense(small, 0.001)
+    if "attack" in parts:
+        attack([case for i, case in enumerate(small) if i % (len(small) // 4) < 3], plain_errors)
+    if "peer" in parts:
+        try:
+            agreement(small[::4])
+        except ImportError as error:
+            print(f"second verifier left out: {error}")
 
 
 if __name__ == "__main__":
