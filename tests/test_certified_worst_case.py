@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.load import load_arm
-from iksamples.certify import residual
+from iksamples.certify import jets
 from iksamples.certify.jets import cubic_remainder_mm
 from iksamples.certify.mean import certify_coverage, certify_mean
 from iksamples.certify.search import certify_stack
@@ -160,7 +160,7 @@ def test_the_checker_proves_what_the_search_found(chain, rng, activation):
 def test_the_checker_refuses_a_search_without_its_cubic_term(chain, rng, monkeypatch):
     stack = networks(rng, "relu", (6,), n=1, spread=0.4)
     honest = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
-    monkeypatch.setattr(residual, "cubic_remainder_mm", lambda *_: 0.0)
+    monkeypatch.setattr(jets, "cubic_remainder_mm", lambda *_: 0.0)
     broken = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER), rtol=0.02, keep_leaves=True)
     assert broken.upper < honest.upper or broken.boxes < honest.boxes
     assert check(honest, stack, 0, chain, Region.box(LOWER, UPPER)).verified

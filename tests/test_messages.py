@@ -15,7 +15,7 @@ SOURCES = Path(__file__).parents[1] / "src/iksamples"
 OF_OTHERS = {"--cores", "--configfile", "--config", "--backend-store-uri"}
 """Options of Snakemake and MLflow."""
 OF_GIT = {"--short", "--porcelain", "--untracked-files"}
-FILES = {"parquet", "json", "csv", "md", "log"}
+FILES = {"parquet", "json", "csv", "md", "log", "urdf"}
 
 
 def texts() -> Iterator[str]:

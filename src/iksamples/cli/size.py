@@ -63,7 +63,7 @@ def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
 
     runs, unit = read_curve(curve)
     if given and unit not in given:
-        option = {"": "--tolerance", **{one: f"--tolerance-{one}" for one in ("mm", "deg")}}
+        option = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
         raise IksamplesError(
             f"{curve}: its errors are {f'in {unit}' if unit else 'without a unit'}; say what is "
             f"allowed with {option[unit]}, or the unit in the column's name, such as error_mm."
