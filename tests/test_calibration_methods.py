@@ -7,11 +7,12 @@ import pytest
 
 from iksamples.arm.deviation import deviated
 from iksamples.arm.inverse import followed
+from iksamples.calibration.fit import fit_samples
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import fit
 from iksamples.methods.trigonometric import products, ridge
 from iksamples.samples.record import grid_samples, record_samples, region_points
-from iksamples.study import read_study
+from iksamples.study import parse_study, read_study
 from iksamples.task import study_task
 
 
@@ -70,6 +71,36 @@ def test_noise_is_not_learnt_by_heart(kind, study, task, arm):
     samples = recorded(task, arm, grid_samples(study, task, 5), noise_mm=0.3)
     error = worst_mm(task, arm, fit(kind, task, samples))
     assert error < 0.6 * worst_mm(task, arm, fit("cubic", task, samples))
+
+
+def simulated(arm, n):
+    """The task of a study's arm of seed 0, and what it recorded on a grid makes of the drawing."""
+    study = parse_study(
+        {"name": "arms", "arm": arm, "samples": {"points_per_axis": [n]}, "training": {"seeds": 1}}
+    )
+    task = study_task(study)
+    samples = grid_samples(study, task, n).of(0)
+    return task, fit_samples(task, samples)
+
+
+def test_the_fit_expects_of_the_arm_what_the_study_says():
+    rough = {"deviation_mm": 3, "deviation_rad": 0.03}
+    task, fitted = simulated(rough, 2)
+    points = task.reach(region_points(task.region, 500)).joints
+    off = fitted.chain.forward_mm(points) - task.arm_of(0).forward_mm(points)
+    assert np.abs(off).max() < 1e-3  # without noise the corners are enough
+    # An arm that is expected to be its drawing is left as it is drawn.
+    stiff = {"deviation_mm": 0, "deviation_rad": 0, "noise_mm": 0.1}
+    task, fitted = simulated({**rough, "expected": stiff}, 2)
+    assert np.abs(fitted.deviations).max() < 1e-3
+    task, fitted = simulated({**rough, "noise_mm": 0.3}, 5)
+    assert fitted.noise_mm == 0.3
+
+
+def test_noise_that_cannot_explain_the_residuals_is_not_believed():
+    _, fitted = simulated({"deviation_mm": 1, "deviation_rad": 0.01, "backlash_rad": 0.01}, 4)
+    # The joints rest 5 mrad to either side, 50 to 150 mm from the tool.
+    assert 0.25 < fitted.noise_mm < 1.5
 
 
 def test_calibrated_takes_poses_and_inputs_of_any_task():

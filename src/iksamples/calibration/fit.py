@@ -18,6 +18,7 @@ from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.deviation import deviated, deviated_pose
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
+from iksamples.study import Expected
 from iksamples.task import Task
 
 
@@ -25,6 +26,8 @@ SMALLEST_NOISE_MM = 1e-6
 """Noise below this [mm, or mrad for turns] is rounding; it would spoil the solver's condition."""
 FEWEST_FREEDOM = 3.0
 """Measured numbers beyond those that the fit takes up, below which they do not tell the noise."""
+UNLIKELY = 1e-3
+"""Chance of residuals below which a given noise is not believed."""
 NOISE_MM, NOISE_RAD = 0.1, 0.001
 """How well a tool is measured where nobody says better: a coordinate, a turn's component."""
 _ROUNDS = 50
@@ -92,6 +95,14 @@ class Fitted:
     def chain(self) -> SerialChain:
         """The fitted arm."""
         return deviated(self.drawing, self.deviations)
+
+    @property
+    def noise_is_plausible(self) -> bool:
+        """Whether residuals as large as these are no rarer than one in a thousand."""
+        from scipy.stats import chi2
+
+        squares = float(np.nansum(self.residuals_mm**2)) / self.noise_mm**2
+        return self.freedom < FEWEST_FREEDOM or bool(chi2.sf(squares, self.freedom) > UNLIKELY)
 
     @property
     def covariance(self) -> Floats:
@@ -163,23 +174,49 @@ def fit_arm(
 def fit_samples(task: Task, samples: SampleSet) -> Fitted:
     """The task's drawing fitted to samples, in which the tool was measured to be where asked.
 
+    With the noise and the prior that the study expects; where the residuals are far beyond that
+    noise, because the joints play or bend as well, with the noise that they show.
+
     Args:
-        task: What is learned; only its drawing is used.
+        task: What is learned; only its drawing and what is expected of the arm are used.
         samples: What was recorded on one arm.
     """
     position, rotation = task.target.wanted(samples.x)
     unasked = [axis for axis in range(3) if axis not in task.target.positions]
     position[:, unasked] = np.nan
-    return fit_arm(
-        task.drawing,
-        samples.joints,
-        position,
-        prior=Prior(),
-        noise_mm=NOISE_MM,
-        measured_rotation=rotation if task.turns else None,
-        noise_rad=NOISE_RAD,
-        axis_only=task.target.orientation == "axis",
+    noise_mm, noise_rad = expected_noise(task.expected)
+
+    def fitted(noise_mm: float | None) -> Fitted:
+        return fit_arm(
+            task.drawing,
+            samples.joints,
+            position,
+            prior=expected_prior(task.expected),
+            noise_mm=noise_mm,
+            measured_rotation=rotation if task.turns else None,
+            noise_rad=noise_rad,
+            axis_only=task.target.orientation == "axis",
+        )
+
+    found = fitted(noise_mm)
+    return found if found.noise_is_plausible else fitted(None)
+
+
+def expected_prior(expected: Expected | None) -> Prior:
+    """The prior that a study's expectation of its arm means; the usual one where there is none."""
+    if expected is None:
+        return Prior()
+    return Prior(
+        max(expected.deviation_mm or 0.0, SMALLEST_NOISE_MM),
+        max(expected.deviation_rad or 0.0, SMALLEST_NOISE_MM / 1e3),
     )
+
+
+def expected_noise(expected: Expected | None) -> tuple[float, float]:
+    """The noise of a coordinate [mm] and of a turn's component [rad], likewise."""
+    if expected is None:
+        return NOISE_MM, NOISE_RAD
+    return expected.noise_mm or 0.0, expected.noise_rad or 0.0
 
 
 def fit_sockets(
