@@ -102,6 +102,31 @@ def test_units_and_scalings_of_both_ends_say_the_same(tmp_path):
     assert np.linalg.norm(tip - at) == pytest.approx(turned[1], abs=1e-4)
 
 
+def test_angles_in_degrees_and_a_tool_on_top_say_the_same(tmp_path):
+    """A network that takes degrees, on an arm whose tool the file does not have."""
+    net, robot = tmp_path / "net.pt", ROBOTS / "planar3r.urdf"
+    model = save(net)
+    box = "--box 100 20 -0.4 130 60 0.4 --inputs x,y,yaw --rtol 0.05"
+    longer = tmp_path / "longer.urdf"
+    longer.write_text(
+        robot.read_text().replace(
+            "</robot>",
+            '<link name="pen"/><joint name="grip" type="fixed"><parent link="tcp"/>'
+            '<child link="pen"/><origin xyz="0.03 -0.01 0.002"/></joint></robot>',
+        )
+    )
+    words = f"--weights {net} --activation tanh {box}"
+    expected = certify(f"{words} --robot {longer}")
+    with torch.no_grad():
+        model[0].weight[:, 2] *= np.pi / 180
+    torch.save(model.state_dict(), net)
+    found = certify(f"{words} --robot {robot} --input-unit deg --tool-offset-mm 30 -10 2")
+    assert bounds(found) != bounds(certify(f"{words} --robot {robot} --input-unit deg"))
+    for what, unit in (("position", "mm"), ("rotation", "deg")):
+        for one, other in zip(bounds(found, what, unit), bounds(expected, what, unit), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
 DOWN = (np.pi, 0.0, np.pi / 2)
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -209,7 +234,11 @@ def test_the_order_that_was_read_is_said(net):
         (f"{BOX} --scale-mm 1 0 1", "zero"),
         (f"{BOX} --scale-mm 1 inf 1", "not finite"),
         (f"{BOX} --input-unit m --scale-mm 1 1 1", "leave out --input-unit"),
-        (f"{BOX} --input-unit km", "give mm or m"),
+        (f"{BOX} --input-unit km", "give rad, deg, mm, m"),
+        (f"{BOX} --input-unit deg", "no angle is among the inputs"),
+        (f"{BOX} --input-unit m --input-unit mm", "two units of lengths"),
+        (f"{BOX} --tool-offset-mm 0 0", "--tool-offset-mm: give x, y and z"),
+        (f"{BOX} --tool-offset-mm 0 0 inf", "--tool-offset-mm: give x, y and z"),
         (f"{BOX} --output-unit turns", "give rad, deg"),
         (f"{BOX} --output-unit m", "no prismatic joint"),
         (f"{BOX} --output-unit deg --output-unit rad", "two units"),

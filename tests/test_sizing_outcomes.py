@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from iksamples.answer.assess import answer_study
 from iksamples.answer.collect import Variant, collect, read_runs, variants
@@ -303,6 +304,18 @@ class TestDiagnosis:
         np.testing.assert_allclose(at, [expected.max()] * SEEDS)
         mean = errors_at_samples(make_study(tolerance={"of": "mean"}), cell)
         np.testing.assert_allclose(mean, [expected.mean()] * SEEDS)
+
+    def test_an_angle_at_the_samples_counts_too(self, results, chain):
+        cell = Cell(results, "network", "grid3")
+        study = make_study(
+            task={"orientation": "fixed", "reference_rpy_rad": [0.3, 0.2, 0.1]},
+            tolerance={"error_mm": 4, "angle_deg": 0.01},
+        )
+        asked = Rotation.from_euler("xyz", [0.3, 0.2, 0.1])
+        reached = Rotation.from_matrix(chain.rotation(np.zeros(3)))
+        expected = 400 * np.degrees((asked.inv() * reached).magnitude())
+        assert expected > errors_at_samples(make_study(), cell).max()
+        np.testing.assert_allclose(errors_at_samples(study, cell), [expected] * SEEDS)
 
     def test_they_are_not_compared_with_a_path_or_where_samples_were_held_out(self, results):
         cell = Cell(results, "network", "grid3")

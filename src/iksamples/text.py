@@ -3,7 +3,7 @@
 import math
 from decimal import ROUND_CEILING, Decimal
 
-from iksamples.study import NETWORK, Method, Network, Robot, Study, Training
+from iksamples.study import NETWORK, Method, Network, Robot, Study, Tolerance, Training
 
 
 OPTIMIZERS = {"adam": "Adam", "levenberg-marquardt": "Levenberg-Marquardt"}
@@ -98,6 +98,15 @@ def millimetres(value: float) -> str:
 def plain_millimetres(value: float) -> str:
     """A length as its author wrote it: ``2 mm``, ``0.25 mm``."""
     return f"{value:g} mm"
+
+
+def allowed(tolerance: Tolerance) -> str:
+    """What a tolerance allows: ``2 mm``, or ``2 mm and 1° (1° counts as 2 mm)``."""
+    limit = plain_millimetres(tolerance.error_mm)
+    if not tolerance.angle_deg:
+        return limit
+    counts = plain_millimetres(tolerance.error_mm / tolerance.angle_deg)
+    return f"{limit} and {tolerance.angle_deg:g}° (1° counts as {counts})"
 
 
 def percent(share: float) -> str:

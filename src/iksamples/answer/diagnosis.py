@@ -12,10 +12,10 @@ from iksamples.results import Cell
 from iksamples.stats import FEWEST_SEEDS, Interval, compare, draws, interval
 from iksamples.study import Study
 from iksamples.text import (
+    allowed,
     described,
     millimetres,
     percent,
-    plain_millimetres,
     same_training,
     several,
 )
@@ -101,7 +101,7 @@ def _misses_its_samples(study: Study, cell: Cell) -> Diagnosis | None:
     return Diagnosis(
         kind="fit",
         text=f"At its own {several(cell.samples.n_samples, 'sample')} {failed} of {len(errors)} "
-        f"trainings already miss by more than {plain_millimetres(tolerance.error_mm)} ({what}, "
+        f"trainings already miss by more than {allowed(tolerance)} ({what}, "
         f"median {millimetres(float(np.median(errors)))}): it lacks capacity or training before it "
         "lacks samples.",
     )

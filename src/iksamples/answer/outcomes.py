@@ -54,9 +54,8 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     statistic = "max" if tolerance.of == "worst" else tolerance.of
     # What is measured, what of it is proved, and millimetres for each unit of it.
     parts = [(f"error_{statistic}_mm", "sup_lower_mm", "sup_upper_mm", 1.0)]
-    if tolerance.angle_deg:
-        # Both are met where the larger of the two, each over what is allowed of it, is at most one.
-        mm_per_deg = tolerance.error_mm / tolerance.angle_deg
+    mm_per_deg = _mm_per_deg(tolerance)
+    if mm_per_deg is not None:
         parts.append((f"angle_{statistic}_deg", "angle_lower_deg", "angle_upper_deg", mm_per_deg))
     rows[["error_mm", "attained_mm"]] = -np.inf
     rows["certified"] = is_certifiable(tolerance)
@@ -78,8 +77,8 @@ def errors_at_samples(study: Study, cell: Cell) -> "np.ndarray | None":
         cell: A network on a set of samples.
 
     Returns:
-        One error per seed [mm]; None where this cannot be said, since the tolerance is about a path
-        or samples were held out.
+        One error per seed [mm], an angle counted as in ``outcomes``; None where this cannot be
+        said, since the tolerance is about a path or samples were held out.
     """
     from iksamples.evaluation.errors import send
     from iksamples.task import study_task
@@ -88,9 +87,26 @@ def errors_at_samples(study: Study, cell: Cell) -> "np.ndarray | None":
     held_out = study.all_methods[cell.method].training.held_out.source == "grid"
     if tolerance.where != WORKSPACE or held_out:
         return None
-    error = send(cell.network, study_task(study, cell.samples.region), cell.samples.x).error_mm
-    error = error[np.isfinite(error).all(axis=1)]
-    if tolerance.of == "mean":
-        return error.mean(axis=1)
-    share = {"worst": 1.0, "p99": 0.99, "p95": 0.95}[tolerance.of]
-    return np.quantile(error, share, axis=1)
+    at = send(cell.network, study_task(study, cell.samples.region), cell.samples.x)
+    sound = np.isfinite(at.error_mm).all(axis=1)
+    worst = np.full(sound.sum(), -np.inf)
+    for measured, mm in ((at.error_mm, 1.0), (at.angle_deg, _mm_per_deg(tolerance))):
+        if mm is None or measured is None:
+            continue
+        errors = measured[sound]
+        if tolerance.of == "mean":
+            found = errors.mean(axis=1)
+        else:
+            share = {"worst": 1.0, "p99": 0.99, "p95": 0.95}[tolerance.of]
+            found = np.quantile(errors, share, axis=1)
+        worst = np.maximum(worst, mm * found)
+    return worst
+
+
+def _mm_per_deg(tolerance: Tolerance) -> float | None:
+    """Both measures are met where the larger, each as a share of what is allowed, is at most one.
+
+    Returns:
+        Millimetres that a degree counts as; None where the angle is not judged.
+    """
+    return tolerance.error_mm / tolerance.angle_deg if tolerance.angle_deg else None

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from iksamples.answer.answer import Confidence, Size, VariantAnswer
-from iksamples.study import NETWORK, Study, Tolerance
+from iksamples.study import NETWORK, Study
 from iksamples.text import (
+    allowed,
     described,
     millimetres,
     percent,
@@ -120,7 +121,7 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
         lines.append(
             _EXTRAPOLATED.format(
                 n=several(beyond.record_next, "sample"),
-                limit=_limit(study.tolerance),
+                limit=allowed(study.tolerance),
                 low=whole(np.floor(beyond.needed.low)),
                 high=whole(np.ceil(beyond.needed.high)),
             )
@@ -171,15 +172,6 @@ def _over(region_share: float) -> str:
     return f"the usable part of the workspace ({percent_down(region_share)} of the box)"
 
 
-def _limit(tolerance: Tolerance) -> str:
-    """What is allowed: ``2 mm``, or ``2 mm and 1° (1° counts as 2 mm)``."""
-    limit = plain_millimetres(tolerance.error_mm)
-    if not tolerance.angle_deg:
-        return limit
-    counts = plain_millimetres(tolerance.error_mm / tolerance.angle_deg)
-    return f"{limit} and {tolerance.angle_deg:g}° (1° counts as {counts})"
-
-
 def _asked(
     study: Study, variants: Sequence[VariantAnswer], confidence: Confidence, region_share: float
 ) -> str:
@@ -188,7 +180,7 @@ def _asked(
     proved = tolerance.of == "worst" and any(one.shown.certified for one in variants)
     path = tolerance.where != "workspace"
     text = _ASKED["proved" if proved else tolerance.of].format(
-        limit=_limit(tolerance),
+        limit=allowed(tolerance),
         place=f"the path {tolerance.where}" if path else _over(region_share),
         points=_points(study, variants[0].shown),
         along="along" if path else "in",

@@ -30,6 +30,7 @@ _NUMBERS = {
     "--scale-mm",
     "--output-offset",
     "--output-scale",
+    "--tool-offset-mm",
 }
 """Options that take as many numbers as follow."""
 
@@ -117,7 +118,11 @@ def certify(
         ),
     ] = None,
     input_unit: Annotated[
-        str | None, typer.Option(help="What the network takes positions in: mm (default) or m.")
+        list[str] | None,
+        typer.Option(
+            help="What the network takes: positions in mm (default) or m, angles in rad (default) "
+            "or deg."
+        ),
     ] = None,
     output_unit: Annotated[
         list[str] | None,
@@ -141,9 +146,19 @@ def certify(
         str | None,
         typer.Option(help="Link at the tool centre point; by default the URDF's only end."),
     ] = None,
+    tool_offset_mm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS", help="Tool centre point in that link's frame [mm]; default 0 0 0."
+        ),
+    ] = None,
     rtol: Annotated[float, typer.Option(min=1e-6, max=1, help="Gap of the bounds.")] = 1e-3,
     time_limit: Annotated[
-        float, typer.Option(min=0, help="Time for each search, per network [s].")
+        float,
+        typer.Option(
+            min=0,
+            help="Time for each search, per network [s]; checking what it found comes on top.",
+        ),
     ] = 60.0,
     max_boxes: Annotated[
         int, typer.Option(min=1, help="Boxes that each search may bound, per network.")
@@ -154,16 +169,21 @@ def certify(
     The error is of the tool's position and, unless its orientation is free, of its angle. Exits
     with 1 if a bound is not proved. A search that is cut short ends with a wider bound.
     """
+    import numpy as np
+
     from iksamples.arm.load import load_arm
     from iksamples.certify.readers.layers import fed_as, read_as
     from iksamples.certify.readers.network import float32_in_words, load_network, prove
 
     region = _box(box)
     target = _target(region.n_inputs, inputs, orientation, reference_rpy_rad)
-    chain = load_arm(robot, base_link, tip_link)
+    tool = _numbers("--tool-offset-mm", tool_offset_mm)
+    if tool is not None and (tool.shape != (3,) or not np.isfinite(tool).all()):
+        raise IksamplesError("--tool-offset-mm: give x, y and z, three numbers [mm].")
+    chain = load_arm(robot, base_link, tip_link, (0, 0, 0) if tool is None else tool)
     fed = fed_as(
         target.units,
-        input_unit,
+        input_unit or (),
         _numbers("--offset-mm", offset_mm),
         _numbers("--scale-mm", scale_mm),
     )
@@ -184,7 +204,8 @@ def certify(
     network = reading.network
     typer.echo(f"Read {weights}: {reading.order}.")
     searches = network.n_seeds * (1 if target.orientation == "free" else 2)
-    with _shown(f"proving; the search takes at most {time_limit * searches:g} s"):
+    most = f"the search takes at most {time_limit * searches:g} s, its check comes on top"
+    with _shown(f"proving; {most}"):
         proved = prove(
             reading, chain, region, target, rtol=rtol, time_limit_s=time_limit, max_boxes=max_boxes
         )

@@ -168,7 +168,7 @@ def export(
         reading = load_network(
             path,
             (len(task.x), len(task.q)),
-            fed=fed_as(task.x.units, input_unit, None, None),
+            fed=fed_as(task.x.units, (input_unit,), None, None),
             read=read,
         )
     found = prove(

@@ -124,44 +124,45 @@ def unscaled(n: int) -> Scaling:
 
 # 40 digits: what is left out is far below the rounding of the product.
 _RAD_PER_DEG = Fraction("3.141592653589793238462643383279502884197") / 180
-_FACTORS = {
-    "rad": ("revolute", Fraction(1)),
-    "deg": ("revolute", _RAD_PER_DEG),
-    "mm": ("prismatic", Fraction(1)),
-    "m": ("prismatic", Fraction(1000)),
+_UNITS = {
+    "rad": ("rad", Fraction(1)),
+    "deg": ("rad", _RAD_PER_DEG),
+    "mm": ("mm", Fraction(1)),
+    "m": ("mm", Fraction(1000)),
 }
+"""Units by name: the one used here, and how many of it they are."""
 
 
 def fed_as(
-    kinds: Sequence[str], unit: str | None, offset_mm: Floats | None, scale_mm: Floats | None
+    ours: Sequence[str], units: Sequence[str], offset_mm: Floats | None, scale_mm: Floats | None
 ) -> Scaling | None:
-    """What is done to a position [mm] before the network gets it; None if nothing is.
+    """What is done to an input [mm or rad] before the network gets it; None if nothing is.
 
     Args:
-        kinds: Unit of each coordinate of the box: ``mm`` if it is a length.
-        unit: ``mm`` or ``m``: what the network takes; mm if None.
-        offset_mm: What is subtracted first [mm], shape (in,); zero if None.
-        scale_mm: What it is divided by then [mm], shape (in,).
+        ours: Unit of each coordinate of the box: ``mm`` or ``rad``.
+        units: What the network takes: at most one of ``mm``, ``m`` (mm if none) and at most one
+            of ``rad``, ``deg`` (rad if none).
+        offset_mm: What is subtracted first [mm or rad], shape (in,); zero if None.
+        scale_mm: What it is divided by then [mm or rad], shape (in,).
 
     Raises:
         IksamplesError: The options contradict each other, or are of another number.
     """
-    if unit not in (None, "mm", "m"):
-        raise IksamplesError(f"--input-unit {unit}: give mm or m.")
-    if unit is not None and scale_mm is not None:
+    things = {"mm": "length", "rad": "angle"}
+    unit_of = _of_ours("--input-unit", units, ours, "no {} is among the inputs", things)
+    if units and scale_mm is not None:
         raise IksamplesError(
-            "--scale-mm says already what the network takes (millimetres divided by it); leave "
+            "--scale-mm says already what the network takes (the inputs divided by it); leave "
             "out --input-unit."
         )
-    if unit in (None, "mm") and offset_mm is None and scale_mm is None:
+    if np.all(unit_of == 1) and offset_mm is None and scale_mm is None:
         return None
-    n_inputs = len(kinds)
+    n_inputs = len(ours)
     offset = np.zeros(n_inputs) if offset_mm is None else offset_mm
-    scale = np.ones(n_inputs) if scale_mm is None else scale_mm
-    if unit == "m":
-        scale = np.array([1000.0 if kind == "mm" else 1.0 for kind in kinds])
+    scale = unit_of if scale_mm is None else scale_mm
     _require_count("--offset-mm", offset, n_inputs, "coordinate of the box")
-    _require_count("--scale-mm", scale, n_inputs, "coordinate of the box")
+    if scale_mm is not None:
+        _require_count("--scale-mm", scale, n_inputs, "coordinate of the box")
     if not np.all(scale):
         raise IksamplesError("--scale-mm has a zero; positions cannot be divided by it.")
     return Scaling(offset, scale)
@@ -187,26 +188,34 @@ def read_as(
     Raises:
         IksamplesError: A unit is unknown or of no joint, or something is of another number.
     """
-    unknown = [unit for unit in units if unit not in _FACTORS]
-    if unknown:
-        raise IksamplesError(f"--output-unit {unknown[0]}: give {', '.join(_FACTORS)}.")
-    factors: dict[str, Fraction] = {}
-    for unit in units:
-        kind, factor = _FACTORS[unit]
-        if kind not in joint_kinds:
-            raise IksamplesError(f"--output-unit {unit}: the arm has no {kind} joint.")
-        if kind in factors:
-            raise IksamplesError(f"--output-unit: two units of {kind} joints; give one.")
-        factors[kind] = factor
-    if offset is None and scale is None and all(factor == 1 for factor in factors.values()):
+    ours = ["mm" if kind == "prismatic" else "rad" for kind in joint_kinds]
+    things = {"mm": "prismatic joint", "rad": "revolute joint"}
+    unit_of = _of_ours("--output-unit", units, ours, "the arm has no {}", things)
+    if offset is None and scale is None and np.all(unit_of == 1):
         return None
     n = len(joint_kinds)
     offset = np.zeros(n) if offset is None else offset
     scale = np.ones(n) if scale is None else scale
     _require_count("--output-offset", offset, n, "joint of the arm")
     _require_count("--output-scale", scale, n, "joint of the arm")
-    unit_of = np.array([factors.get(kind, Fraction(1)) for kind in joint_kinds], object)
     return Scaling(times(offset, unit_of), times(scale, unit_of))
+
+
+def _of_ours(
+    option: str, units: Sequence[str], ours: Sequence[str], none: str, things: dict[str, str]
+) -> Numbers:
+    """How many mm or rad the unit of each value is, shape (values,)."""
+    found: dict[str, Fraction] = {}
+    for unit in units:
+        if unit not in _UNITS:
+            raise IksamplesError(f"{option} {unit}: give {', '.join(_UNITS)}.")
+        kind, factor = _UNITS[unit]
+        if kind not in ours:
+            raise IksamplesError(f"{option} {unit}: {none.format(things[kind])}.")
+        if kind in found:
+            raise IksamplesError(f"{option}: two units of {things[kind]}s; give one.")
+        found[kind] = factor
+    return np.array([found.get(kind, Fraction(1)) for kind in ours], object)
 
 
 def _require_count(option: str, values: Floats, n: int, of: str) -> None:
