@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from certificate_cases import plain_answer, plain_tip, random_network, turned_away
 
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
 from iksamples.evaluation.paths import require_reachable, waypoints
+from iksamples.evaluation.slices import error_slices
 from iksamples.network import StackedMLP
 from iksamples.samples.record import region_points
-from iksamples.study import DoubleRectangle, Heart, parse_study
+from iksamples.study import DoubleRectangle, Heart, parse_study, read_study
 from iksamples.task import study_task
 
 
@@ -40,6 +42,32 @@ def in_plane():
             }
         )
     )
+
+
+def test_slices_of_many_inputs_go_through_the_worst_point(rng):
+    study = read_study("config/studies/scara.yaml")
+    task = study_task(study)
+    network = random_network(rng, (4, 6, 4), "tanh", 2, lower=task.x.lower, upper=task.x.upper)
+    table = error_slices(task, network, 1, 128)
+    points = region_points(task.region, 128)
+    rows = [k for k, unit in enumerate(task.x.units) if unit == "mm"]
+
+    def misses(x):
+        joints = plain_answer(network, 1, x)
+        position = np.linalg.norm(plain_tip(task.drawing, joints) - x[:, rows], axis=1)
+        return position, np.degrees(turned_away(task.drawing, task.target, joints, x))
+
+    worst = points[misses(points)[0].argmax()]
+    pairs = []
+    for _, part in table.groupby("slice", sort=False):
+        x = part[task.x.columns()].to_numpy()
+        held = np.flatnonzero((x == worst).all(axis=0))
+        pairs.append(tuple(np.setdiff1d(range(4), held)))
+        few = slice(None, None, 97)
+        position, angle = misses(x[few])
+        np.testing.assert_allclose(part["error_mm"].iloc[few], position)
+        np.testing.assert_allclose(part["angle_deg"].iloc[few], angle, atol=1e-9)
+    assert pairs == [(0, 1), (2, 3)]
 
 
 def test_rectangles_run_around_both_heights(task):

@@ -19,7 +19,7 @@ from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.shown import median_seed
 from iksamples.files import kept_file
-from iksamples.report import run
+from iksamples.report import markdown, run
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.write import write_front_page, write_report
 from iksamples.results import cells
@@ -47,6 +47,23 @@ BARE: dict[str, Any] = {
     "training": {"seeds": 1, "epochs": 20, "held_out": {"validation_share": 0, "at_least": 0}},
     "evaluation": {"cube_points": 64, "paths": {"loop": {"shape": "heart"}}},
 }
+TURNED: dict[str, Any] = {
+    "name": "turned",
+    "robot": {
+        "urdf": "config/robots/planar3r.urdf",
+        "home_rad": {"shoulder": 0.2, "elbow": 0.9, "wrist": 0.4},
+    },
+    "task": {"inputs": ["x", "y", "yaw"], "orientation": "fixed", "reference_rpy_rad": [0, 0, 0]},
+    "workspace": {
+        "lower_mm": [80, 60], "upper_mm": [130, 130], "lower_rad": [1.0], "upper_rad": [1.8]
+    },
+    "samples": {"sizes": [27, 64]},
+    "network": {"activation": "tanh"},
+    "training": {"seeds": 3, "epochs": 20},
+    "bounds": {"sup_rtol": 0.05, "mean_rtol": 0.5},
+    "evaluation": {"cube_points": 64, "paths": {"loop": {"shape": "circle"}}},
+    "tolerance": {"error_mm": 6, "angle_deg": 2},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -288,6 +305,23 @@ def test_networks_that_diverged_are_counted_and_left_out(data: ReportData, tmp_p
         runs.assign(diverged=True).to_parquet(file)
     with pytest.raises(IksamplesError, match="every network diverged"):
         write_report(data.study, tmp_path / "results", tmp_path / "report")
+
+
+def test_a_proved_angle_is_shown_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    write_report(finished(TURNED, tmp_path, paper=False), "results/turned", "reports/turned")
+    page = html.parse(tmp_path / "reports/turned/index.html").getroot()
+    proofs = pd.read_csv("results/turned/certificates.csv")
+    shown = table_with(page, "Samples", "Worst error ≥ [mm]")
+    most = proofs.groupby("n_samples")["angle_upper_deg"]
+    for column, exact in (("Angle ≤ [deg]", most.median()), ("Worst seed ≤ [deg]", most.max())):
+        printed = shown[column].astype(float).to_numpy()
+        assert (printed >= exact).all()
+        np.testing.assert_allclose(printed, exact, rtol=0.1)
+    assert (tmp_path / "reports/turned/figures/error-map-orientation.png").exists()
+    text = " ".join(page.text_content().split())
+    assert markdown.number(float(most.median().iloc[-1]), 2, "up") + "°" in text
 
 
 def test_slices_are_the_error_of_the_network_shown(data: ReportData) -> None:

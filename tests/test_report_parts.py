@@ -174,7 +174,7 @@ def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
     a, b = (one.ravel() for one in np.meshgrid(side, side))
     slices = pd.DataFrame({"slice": "", "a_mm": a, "b_mm": b, "error_mm": a + 2 * b})
     slices.loc[0, "error_mm"] = np.nan  # outside the region
-    [axis, bar] = error_map(slices, 1.5).axes
+    [axis, bar] = error_map(slices, "error_mm", 1.5).axes
     assert (axis.get_xlabel(), axis.get_ylabel()) == ("a [mm]", "b [mm]")
     [worst] = axis.get_lines()
     assert (worst.get_xdata()[0], worst.get_ydata()[0]) == (1, 1)
@@ -194,6 +194,21 @@ def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
     figure = plans([(4, Strokes(waypoints), np.array([[0.0, 0], [0, 1], [1, 0], [1, 1]]))])
     [axis] = [one for one in figure.axes if one.get_visible()]
     np.testing.assert_array_equal(axis.get_lines()[1].get_xdata(), side + 0.1)
+
+
+def test_planes_of_different_inputs_have_axes_of_their_own() -> None:
+    side = np.linspace(0, 1, 5)
+    a, b = (one.ravel() for one in np.meshgrid(side, side))
+    coordinates = {"x_mm": 1.0, "y_mm": 1.0, "z_mm": 1.0, "yaw_rad": 1.0}
+    slices = pd.concat(
+        pd.DataFrame(coordinates | {i: a, j: b, "slice": i, "error_mm": a, "angle_deg": a * b})
+        for i, j in (("x_mm", "y_mm"), ("z_mm", "yaw_rad"))
+    )
+    first, second, bar = error_map(slices, "angle_deg", None).axes
+    assert (first.get_xlabel(), first.get_ylabel()) == ("x [mm]", "y [mm]")
+    assert (second.get_xlabel(), second.get_ylabel()) == ("z [mm]", "yaw [rad]")
+    assert [text.get_text() for text in second.texts] == ["1.0°"]
+    assert "deg" in bar.get_ylabel()
 
 
 def test_what_differs_is_named_as_the_study_file_has_it() -> None:

@@ -172,7 +172,10 @@ def map_(study_file: StudyFile, results: Results) -> None:
     all_cells = list(cells(study, results))
     task = study_task(study, all_cells[0].samples.region)
     for cell in all_cells:
-        shown = [error_slices(task, cell.network, seed) for seed in shown_seeds(study, cell)]
+        shown = [
+            error_slices(task, cell.network, seed, study.evaluation.cube_points)
+            for seed in shown_seeds(study, cell)
+        ]
         tables = map_cell(study, task, cell)
         tables["slices"] = pd.concat(shown) if shown else pd.DataFrame(columns=["seed"])
         for name, rows in tables.items():

@@ -29,8 +29,9 @@ class ReportData:
         study: The study.
         results: Its results folder.
         command: What a user types to run it.
-        runs: ``runs.parquet`` without diverged seeds, and with ``worst_mm``: the proved bound of
-            the worst error where there is one, else the largest measured.
+        runs: ``runs.parquet`` without diverged seeds, and with ``worst_mm`` and
+            ``worst_deg``: the proved bound of the worst error where there is one, else the largest
+            measured.
         diverged: Networks that diverged, by method.
     """
 
@@ -167,7 +168,10 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
     runs = read_runs(results)
     diverged = runs["diverged"].astype(bool)
     lost = runs[diverged & (runs["region"] == WORKSPACE)].groupby("method").size()
-    sound = runs[~diverged].assign(worst_mm=runs["sup_upper_mm"].fillna(runs["error_max_mm"]))
+    sound = runs[~diverged].assign(
+        worst_mm=runs["sup_upper_mm"].fillna(runs["error_max_mm"]),
+        worst_deg=runs["angle_upper_deg"].fillna(runs["angle_max_deg"]),
+    )
     data = ReportData(study, results, command, sound, lost)
     if data.own.empty:
         raise IksamplesError(

@@ -13,7 +13,7 @@ from iksamples.study import NETWORK
 
 MEASURES = {
     "position": {"error_mean_mm": "mean error", "worst_mm": "worst error"},
-    "orientation": {"angle_mean_deg": "mean angle", "angle_max_deg": "largest angle measured"},
+    "orientation": {"angle_mean_deg": "mean angle", "worst_deg": "worst angle"},
 }
 """Columns of the runs by what they measure, and what the report calls them."""
 
@@ -79,7 +79,8 @@ def worst(data: ReportData) -> dict[str, Any]:
     largest = list(data.cells)[-1]
     unsafe, slices = data.shown_rows("unsafe"), data.shown_rows("slices")
     maps = slices[slices["label"] == largest] if len(slices) else slices
-    tolerance = data.study.tolerance.error_mm
+    wish, turns = data.study.tolerance, "angle_upper_deg" in proofs
+    allowed = {"error_mm": wish.error_mm} | ({"angle_deg": wish.angle_deg} if turns else {})
     long = pd.concat(
         proofs.assign(line=line, mm=proofs[column])
         for line, column in {
@@ -97,8 +98,9 @@ def worst(data: ReportData) -> dict[str, Any]:
     gap = (proofs["sup_upper_mm"] / proofs["sup_lower_mm"])[complete].max() - 1
     over_mean = proofs["sup_lower_mm"] / proofs["mean_upper_mm"]
     corner = _at_corner(data, proofs)
+    drawing = figures.lines(long, "n_samples", "mm", looks, _N, _ERROR, tolerance=wish.error_mm)
     return {
-        "drawing": figures.lines(long, "n_samples", "mm", looks, _N, _ERROR, tolerance=tolerance),
+        "drawing": drawing,
         "table": _proof_table(proofs, corner),
         "last": proofs[proofs["label"] == largest],
         "checked": len(proofs),
@@ -110,8 +112,15 @@ def worst(data: ReportData) -> dict[str, Any]:
         "corner": corner.mean(),
         "place": _place(proofs.loc[corner].filter(regex="^argmax_")),
         "searches": proofs[["seconds", "boxes"]].sum(),
-        "map": views.error_map(maps, tolerance) if len(maps) else None,
-        "missed": bool((maps["error_mm"] > tolerance).any()) if len(maps) else False,
+        "maps": {
+            "position" if error == "error_mm" else "orientation": {
+                "drawing": views.error_map(maps, error, limit),
+                "missed": limit is not None and bool((maps[error] > limit).any()),
+            }
+            for error, limit in allowed.items()
+            if len(maps)
+        },
+        "turns": turns,
         "shown": data.shown[largest],
         "coverage": unsafe[unsafe["label"] == largest].iloc[0] if len(unsafe) else None,
         "epochs": _epochs_drawing(data.shown_rows("training_bound")),
@@ -225,12 +234,21 @@ def _epochs_drawing(bounds: pd.DataFrame) -> figures.Drawing | None:
 def _proof_table(proofs: pd.DataFrame, corner: "pd.Series[bool]") -> pd.DataFrame:
     by = proofs.assign(corner=corner).groupby("n_samples")
     middle = by.median(numeric_only=True)
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             "Worst error ≥ [mm]": middle["sup_lower_mm"],
             "Worst error ≤ [mm]": middle["sup_upper_mm"],
             "Worst seed ≤ [mm]": by["sup_upper_mm"].max(),
             "Largest measured [mm]": middle["error_max_mm"],
+            **(
+                {
+                    "Angle ≥ [deg]": middle["angle_lower_deg"],
+                    "Angle ≤ [deg]": middle["angle_upper_deg"],
+                    "Worst seed ≤ [deg]": by["angle_upper_deg"].max(),
+                }
+                if "angle_upper_deg" in proofs
+                else {}
+            ),
             "Mean ≥ [mm]": middle["mean_lower_mm"],
             "Mean ≤ [mm]": middle["mean_upper_mm"],
             "At a corner [%]": 100 * by["corner"].mean(),
@@ -238,6 +256,8 @@ def _proof_table(proofs: pd.DataFrame, corner: "pd.Series[bool]") -> pd.DataFram
             "Networks": by.size(),
         }
     ).reset_index(names="Samples")
+    # Of many inputs no mean is enclosed.
+    return table.dropna(axis="columns", how="all")
 
 
 def _at_corner(data: ReportData, proofs: pd.DataFrame) -> "pd.Series[bool]":

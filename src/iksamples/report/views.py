@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.report import figures
 from iksamples.report.data import ReportData
-from iksamples.report.markdown import mm
+from iksamples.report.markdown import mm, number
 
 
 _AZIMUTH_RAD, _ELEVATION_RAD = np.deg2rad(-62.0), np.deg2rad(22.0)
@@ -163,46 +163,53 @@ def arm(
 
 
 @figures.styled
-def error_map(slices: pd.DataFrame, tolerance: float) -> Figure:
-    """The error on slices through the workspace, with the tolerance as a line.
+def error_map(slices: pd.DataFrame, error: str, tolerance: float | None) -> Figure:
+    """An error on slices through the workspace, with the tolerance as a line.
 
     Args:
-        slices: Rows of one network: slice, two coordinates that vary and others that do not,
-            error_mm.
-        tolerance: The study's tolerance [mm].
+        slices: Rows of one network: slice, the error, and coordinates, two of which vary along a
+            slice.
+        error: Column of the error, such as ``error_mm``.
+        tolerance: The study's tolerance, in the error's unit, if it has one.
     """
-    across, up = [str(name) for name in slices.filter(regex="_(mm|rad)$")][:2]
-    titles = list(dict.fromkeys(slices["slice"]))
+    names = [str(name) for name in slices.filter(regex="_(mm|rad)$") if name != "error_mm"]
+    planes = [rows for _, rows in slices.groupby("slice", sort=False)]
+    pairs = [[name for name in names if rows[name].nunique() > 1] for rows in planes]
+    alike, several = pairs == pairs[:1] * len(pairs), len(planes) > 1
     figure, axes = figures.panels(
-        1, len(titles), 3.25, 9.2 if len(titles) > 1 else 4.6, sharey=True, wspace=0.12,
-        left=0.08 if len(titles) > 1 else 0.16, right=0.93 if len(titles) > 1 else 0.86, top=0.9,
+        1, len(planes), 3.25, 9.2 if several else 4.6, sharey=alike, wspace=0.12 if alike else 0.4,
+        left=0.08 if several else 0.16, right=0.93 if several else 0.86, top=0.9,
     )  # fmt: skip
-    levels = MaxNLocator(10).tick_values(0.0, float(slices["error_mm"].max()))
-    for axis, title in zip(axes[0], titles, strict=True):
-        rows = slices[slices["slice"] == title]
-        grid = rows.pivot(index=up, columns=across, values="error_mm")
+    levels = MaxNLocator(10).tick_values(0.0, float(slices[error].max()))
+    for axis, rows, (across, up) in zip(axes[0], planes, pairs, strict=True):
+        grid = rows.pivot(index=up, columns=across, values=error)
         where = grid.columns.to_numpy(float), grid.index.to_numpy(float), grid.to_numpy(float)
         filled = axis.contourf(*where, levels=levels, cmap="Blues")
-        if np.nanmin(where[2]) < tolerance < np.nanmax(where[2]):
+        if tolerance is not None and np.nanmin(where[2]) < tolerance < np.nanmax(where[2]):
             axis.contour(*where, levels=[tolerance], colors=figures.TARGET, linewidths=1.2)
-        _worst(axis, rows.loc[rows["error_mm"].idxmax()], across, up, rows)
-        axis.set_title(title)
+        _worst(axis, rows, error, across, up)
+        axis.set_title(rows["slice"].iloc[0])
         axis.set_xlabel(_axis_title(across))
         axis.xaxis.set_major_locator(MaxNLocator(4))
-        axis.set_aspect("equal")
+        if alike and across[-3:] == up[-3:]:
+            axis.set_aspect("equal")
+        else:
+            axis.set_box_aspect(1)
         axis.grid(visible=False)
-    axes[0][0].set_ylabel(_axis_title(up))
-    bar = figure.colorbar(filled, ax=axes[0], fraction=0.02 * len(titles), pad=0.02)
-    bar.set_label("position error [mm]")
+        if axis is axes[0][0] or not alike:
+            axis.set_ylabel(_axis_title(up), labelpad=2)
+    bar = figure.colorbar(filled, ax=axes[0], fraction=0.02 * len(planes), pad=0.02)
+    bar.set_label("position error [mm]" if error == "error_mm" else "angle [deg]")
     return figure
 
 
-def _worst(axis: Axes, at: "pd.Series[float]", across: str, up: str, rows: pd.DataFrame) -> None:
+def _worst(axis: Axes, rows: pd.DataFrame, error: str, across: str, up: str) -> None:
     """A slice's largest error, as a mark with its number."""
+    at = rows.nlargest(1, error).iloc[0]
     right, high = (at[name] > rows[name].mean() for name in (across, up))
     axis.plot(at[across], at[up], "o", ms=6, color=figures.TARGET, mec="white", clip_on=False)
     axis.annotate(
-        mm(at["error_mm"], 1),
+        mm(at[error], 1) if error == "error_mm" else f"{number(at[error], 1)}°",
         (at[across], at[up]),
         (-7 if right else 7, -11 if high else 6),
         textcoords="offset points",
