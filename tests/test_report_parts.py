@@ -15,8 +15,9 @@ from iksamples.report import figures, markdown
 from iksamples.report.data import read_benchmarks
 from iksamples.report.figures import lines
 from iksamples.report.run import differing
-from iksamples.report.views import Strokes, error_map, plans
+from iksamples.report.views import Strokes, arm, error_map, plans
 from iksamples.study import Method, parse_study
+from iksamples.task import study_task
 
 
 ROOT = Path(__file__).parents[1]
@@ -159,6 +160,7 @@ def test_strokes_are_lifted_where_the_table_says() -> None:
             "target_yaw_rad": 1.0,
             "q_j_rad": 0.1,
             "error_mm": [0.5, 0.0, 0.0, 0.0],
+            "seed": 0,
             "pen_up": [True, False, True, False],
         }
     )
@@ -188,6 +190,7 @@ def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
             "reached_b_mm": side,
             "q_j_mm": side,
             "error_mm": 0.1,
+            "seed": 0,
             "pen_up": False,
         }
     )
@@ -243,3 +246,21 @@ def test_links_between_the_files_kept_resolve(file: Path) -> None:
     links = re.findall(r"\]\(([^)\s#]+)[^)]*\)", re.sub(r"`[^`]*`", "", text))
     for link in links:
         assert "://" in link or (file.parent / link).exists(), link
+
+
+def test_the_arm_is_drawn_with_its_tool_where_it_went() -> None:
+    """Each seed's arm is another one, and none is the drawing."""
+    task = study_task(parse_study({"name": "arms", "arm": {"deviation_mm": 5}}))
+    joints = np.array([[0.8, 0.4, -1.2], [0.7, 0.5, -1.1]])
+    reached = task.arm_of(3).forward_mm(joints)
+    rows = pd.DataFrame(
+        {"waypoint": [0, 1], "seed": 3, "pen_up": False, "error_mm": [5.0, 6.0]}
+        | {f"target_{axis}_mm": reached[:, i] + 3 for i, axis in enumerate("xyz")}
+        | {f"reached_{axis}_mm": reached[:, i] for i, axis in enumerate("xyz")}
+        | {f"q_{name}_rad": joints[:, i] for i, name in enumerate(task.q.names)}
+    )
+    corners = np.array([20.0, 20, 0]), np.array([80.0, 80, 60])
+    figure = arm(task.chain_of, corners, [(8, Strokes(rows), reached)])
+    by_label = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    (links,) = (line.get_xydata() for line in figure.axes[0].lines if line.get_linewidth() == 5)
+    np.testing.assert_allclose(links[-1], by_label["largest error"][-1], atol=1e-9)

@@ -44,7 +44,7 @@ def answer(data: ReportData) -> dict[str, Any]:
                 "Samples needed": _needed(data, one),
                 "Error [mm]": tried.tolerance_bound_mm,
                 "Shown by": "proof" if tried.certified else "measurement",
-                "Trainings that meet it": "deterministic"
+                f"{data.trial.capitalize()}s that meet it": "deterministic"
                 if lowest is None
                 else f"{tried.n_met} of {tried.n_seeds}"
                 + (f", so at least {percent(lowest, 1, 'down')}" if lowest else ""),
@@ -54,7 +54,7 @@ def answer(data: ReportData) -> dict[str, Any]:
             head
             | {
                 "Samples": size.n_samples,
-                "Trainings": size.n_seeds,
+                f"{data.trial.capitalize()}s": size.n_seeds,
                 "Meet it": size.n_met,
                 "Share at least [%]": _scaled(size.success_rate_lcb, 100),
                 "Error bound [mm]": size.tolerance_bound_mm,
@@ -215,7 +215,7 @@ def _fresh(data: ReportData) -> Iterator[dict[str, Any]]:
                     **_design(data, one.design),
                     "Size": what,
                     "Samples": rate.n_samples,
-                    "Fresh trainings": rate.n_seeds,
+                    f"Fresh {data.trial}s": rate.n_seeds,
                     "Meet it": rate.n_met,
                     "Share [%]": 100 * share.value,
                     "95 % interval [%]": f"{100 * share.low:.1f} to {100 * share.high:.1f}",

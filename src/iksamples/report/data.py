@@ -19,6 +19,7 @@ from iksamples.files import checked
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
+from iksamples.text import trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,11 @@ class ReportData:
         """What errors and proofs are over, in words."""
         whole = (self.runs["region_share"] == 1).all()
         return "the workspace" if whole else "the usable part of the workspace"
+
+    @property
+    def trial(self) -> str:
+        """What a seed is, in a word."""
+        return trial(self.study)
 
     @property
     def several_designs(self) -> bool:

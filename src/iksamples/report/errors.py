@@ -143,8 +143,8 @@ def _mean_and_sd(data: ReportData) -> pd.DataFrame:
     rows = rows[rows["design"] == data.study.samples.design]
     by = rows.groupby(["method", "n_samples"], sort=False)["error_mean_mm"]
     cells = map(plus_minus, by.mean(), by.std(ddof=1))
-    table = pd.Series(list(cells), index=by.mean().index).unstack().reset_index()
-    return _titled(table.fillna(""))
+    table = pd.Series(list(cells), index=by.mean().index).unstack().sort_index(axis=1)
+    return _titled(table.reindex(by.mean().index.unique(0)).fillna("").reset_index())
 
 
 def _baseline(data: ReportData) -> list[tuple[str, int, int]]:

@@ -19,8 +19,8 @@ from iksamples.report import views
 from iksamples.report.data import ReportData
 from iksamples.report.markdown import code, percent
 from iksamples.report.views import scene
-from iksamples.study import Study
-from iksamples.task import study_chain
+from iksamples.study import Arm, Study
+from iksamples.task import study_task
 from iksamples.text import OPTIMIZERS
 
 
@@ -49,13 +49,16 @@ def facts(data: ReportData) -> list[str]:
         f"{study.network.activation}",
         f"{OPTIMIZERS[training.optimizer]}, {budget}",
         f"{n.min()} to {n.max()} samples ({', '.join(study.samples.designs)})",
-        f"{training.seeds} trainings each",
+        f"{training.seeds} arms, each with a training of its own"
+        if study.arm
+        else f"{training.seeds} trainings each",
     ]
 
 
 def paths(data: ReportData) -> dict[str, Any]:
     """The paths as the networks draw them, and the commands that open the recordings."""
-    chain, waypoints = study_chain(data.study), data.table("waypoints")
+    region = next(iter(data.cells.values())).samples.region
+    chain_of, waypoints = study_task(data.study, region).chain_of, data.table("waypoints")
     box = np.array(data.study.workspace.lower_mm), np.array(data.study.workspace.upper_mm)
     labels = list(data.cells)
     spread = np.unique(np.linspace(0, len(labels) - 1, min(_PATH_SETS, len(labels))).round())
@@ -71,8 +74,8 @@ def paths(data: ReportData) -> dict[str, Any]:
     uri = str(data.tracking.get("tracking_uri", ""))
     local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {shlex.quote(uri)}"
     return {
-        "scene": scene(data, chain, waypoints),
-        "arm": views.arm(chain, box, [panel(label, names[-1]) for label in (few[0], few[-1])]),
+        "scene": scene(data, chain_of, waypoints),
+        "arm": views.arm(chain_of, box, [panel(label, names[-1]) for label in (few[0], few[-1])]),
         "plans": views.plans([panel(label, names[0]) for label in few]),
         "arm_path": names[-1],
         "recordings": [
@@ -115,9 +118,8 @@ def made(data: ReportData) -> dict[str, Any]:
     """What was run, on what, from which state of the code."""
     study = data.study
     about = {"name", "title", "tracking", "methods"}
-    theirs, ours = (
-        one.model_dump(mode="json", exclude=about) for one in (Study(name="paper"), study)
-    )
+    paper = Study(name="paper", arm=Arm() if study.arm else None)
+    theirs, ours = (one.model_dump(mode="json", exclude=about) for one in (paper, study))
     changed = list(differing(theirs, ours))
     facts = {
         "Git commit": commit(),

@@ -1,6 +1,6 @@
 """Pictures of the arm, of paths as drawn and of where errors are, and the view that turns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations, product
 from typing import Any
 
@@ -26,6 +26,7 @@ class Strokes:
     """One network on one path.
 
     Attributes:
+        seed: Its seed.
         names: The coordinates of the position that are asked for, such as ``x_mm``.
         target: Where the tool was sent [mm], shape (waypoints, coordinates).
         reached: Where it went [mm], same shape.
@@ -38,6 +39,7 @@ class Strokes:
     def __init__(self, waypoints: pd.DataFrame) -> None:
         """Reads the rows of one network on one path, in any order."""
         rows = waypoints.sort_values("waypoint")
+        self.seed = int(rows["seed"].iloc[0])
         targets = [str(name) for name in rows.filter(regex="^target_.*_mm$")]
         self.names = [name.removeprefix("target_") for name in targets]
         self.target: Floats = rows[targets].to_numpy(float)
@@ -114,12 +116,14 @@ def plans(panels: Sequence[tuple[int, Strokes, Floats]]) -> Figure:
 
 @figures.styled
 def arm(
-    chain: SerialChain, box: tuple[Floats, Floats], panels: Sequence[tuple[int, Strokes, Floats]]
+    chain_of: Callable[[int], SerialChain],
+    box: tuple[Floats, Floats],
+    panels: Sequence[tuple[int, Strokes, Floats]],
 ) -> Figure:
     """The arm where a network strays farthest from a path, a panel each.
 
     Args:
-        chain: The arm.
+        chain_of: The arm of each seed.
         box: Corners of the workspace [mm], a number per coordinate that is asked for.
         panels: For each: the number of samples, the path, and where the samples are [mm].
     """
@@ -135,7 +139,7 @@ def arm(
     seen = []
     for axis, (n, path, samples) in zip(axes[0], panels, strict=True):
         worst = int(np.argmax(path.error))
-        links = np.vstack([np.zeros((1, 3)), chain.skeleton_mm(path.joints[worst])])
+        links = np.vstack([np.zeros((1, 3)), chain_of(path.seed).skeleton_mm(path.joints[worst])])
         for edge in edges:
             axis.plot(*_project(edge).T, color=figures.RULE, lw=0.9, zorder=1)
         axis.plot(*_project(links).T, color=figures.MUTED, lw=5, solid_joinstyle="round", zorder=5)
@@ -244,7 +248,9 @@ _BUDGET = 120_000
 """Numbers of all polylines together, which keeps the page small."""
 
 
-def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict[str, object]:
+def scene(
+    data: ReportData, chain_of: Callable[[int], SerialChain], waypoints: pd.DataFrame
+) -> dict[str, object]:
     """Workspace, paths, and for every set of samples its points, networks and arm poses.
 
     Of each set and path the best, the median and the worst network (by mean error on the path) are
@@ -252,12 +258,12 @@ def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict
 
     Args:
         data: The report's data.
-        chain: The arm.
+        chain_of: The arm of each seed.
         waypoints: Every waypoint of every network that did not diverge.
     """
     box = data.study.workspace
     paths = list(data.study.evaluation.paths)
-    lines = len(data.cells) * len(paths) * 3 * (1 + chain.n_joints)
+    lines = len(data.cells) * len(paths) * 3 * (1 + chain_of(0).n_joints)
     most = int(np.clip(_BUDGET // (3 * lines), 24, _MOST_WAYPOINTS))
     first = waypoints[waypoints["label"] == next(iter(data.cells))]
     drawn = [Strokes(_one(first, path, first["seed"].iloc[0])) for path in paths]
@@ -271,13 +277,13 @@ def scene(data: ReportData, chain: SerialChain, waypoints: pd.DataFrame) -> dict
             }
             for name, path in zip(paths, drawn, strict=True)
         ],
-        "grids": [_set(data, chain, waypoints, label, drawn[0], most) for label in data.cells],
+        "grids": [_set(data, chain_of, waypoints, label, drawn[0], most) for label in data.cells],
     }
 
 
 def _set(
     data: ReportData,
-    chain: SerialChain,
+    chain_of: Callable[[int], SerialChain],
     waypoints: pd.DataFrame,
     label: str,
     first: Strokes,
@@ -288,11 +294,13 @@ def _set(
     return {
         "n": len(points),
         "samples": _flat(points[:: -(-len(points) // _MOST_POINTS)]),
-        "runs": [_runs(chain, rows, path, most) for path in data.study.evaluation.paths],
+        "runs": [_runs(chain_of, rows, path, most) for path in data.study.evaluation.paths],
     }
 
 
-def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[dict[str, object]]:
+def _runs(
+    chain_of: Callable[[int], SerialChain], rows: pd.DataFrame, path: str, most: int
+) -> list[dict[str, object]]:
     mean = rows[rows["path"] == path].groupby("seed")["error_mm"].mean()
     ranked = mean.sort_values(kind="stable").index
     chosen = {"best": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "worst": ranked[-1]}
@@ -300,7 +308,7 @@ def _runs(chain: SerialChain, rows: pd.DataFrame, path: str, most: int) -> list[
     for rank, seed in chosen.items():
         track = Strokes(_one(rows, path, seed))
         keep = _keep(track, most)
-        knots = chain.skeleton_mm(track.joints[keep])[:, :-1]
+        knots = chain_of(track.seed).skeleton_mm(track.joints[keep])[:, :-1]
         runs.append(
             {
                 "rank": rank,
