@@ -22,6 +22,7 @@ from iksamples.certify.enclosure import (
     corners,
     expand,
     pairs,
+    sizes,
     third_derivative_bound,
 )
 from iksamples.certify.jets import Linkage, bending_mm, cubic_remainder_mm
@@ -252,7 +253,7 @@ def test_what_tanh_makes_of_noise_is_attained(other):
     """One neuron, z = z0 + 0.02 s + other e, where tanh bends most: s = e = 1 is worst."""
     z0 = np.arctanh(np.sqrt(1 / 3))
     rows = np.array([[[z0], [0.02], [0.0], [other]]])
-    half, reach, _ = _tanh(rows, (2, 3), np.ones((1, 1, 1)))
+    half, reach, _, _ = _tanh(rows, (2, 3), np.ones((1, 1, 1)))
     s, e = (v.ravel() for v in np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)))
     kept = np.stack([np.ones_like(s), s, s * s, e]).T @ rows[0, :, 0]
     apart = np.abs(np.tanh(z0 + 0.02 * s + other * e) - kept)
@@ -288,6 +289,44 @@ def test_networks_stay_inside_their_enclosure(seed, activation, depth, d, size):
     at = values_of(expansion, corners(d), shift)
     short = reach @ np.abs(expansion.noise[0])
     assert np.all(np.abs(answer[: 2**d] - at) <= short + 1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS, d=st.integers(1, 5))
+def test_cubic_means_hold_and_are_near(seed, d):
+    rng = np.random.default_rng(seed)
+    linear = rng.normal(size=(1, d, 4)) * rng.choice([0.0, 1.0, 1.0], (1, d, 4))
+    bound = sizes(linear)[0, -1]
+    drawn = rng.uniform(-1, 1, (20_000, d)) @ linear[0]
+    exact = np.cbrt(np.mean(np.abs(drawn) ** 3, axis=0))
+    assert np.all(0.97 * exact <= bound)
+    assert np.all(bound <= 1.08 * exact)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=SEEDS, kinds=st.sampled_from(["RR", "RRR", "RRP"]), d=st.integers(2, 3),
+    activation=st.sampled_from(["relu", "tanh"]), size=st.floats(0.01, 0.4),
+)  # fmt: skip
+def test_what_is_left_out_is_small_on_average_too(seed, kinds, d, activation, size):
+    """Positions drawn from a box: the distance from the polynomial, on average."""
+    rng = np.random.default_rng(seed)
+    chain = random_chain(rng, kinds)
+    stack = random_network(rng, (d, 6, len(kinds)), activation, spread=rng.uniform(0.3, 1.5))
+    errors = ErrorOverBoxes(stack, chain, Region.box(np.full(d, -1.0), np.full(d, 2.0)))
+    centre, radius = rng.uniform(0, 1, (1, d)), size * rng.uniform(0.1, 1, (1, d))
+    [residual] = errors.residuals(np.zeros(1, int), centre, radius)
+    s = rng.uniform(-1, 1, (4000, d))
+    points = centre + radius * s
+    miss = plain_tip(chain, plain_answer(stack, 0, points))[:, :d] - points
+    first, second = pairs(d)
+    inside = residual.centre_mm[0] + s @ residual.linear_mm[0]
+    inside += (s[:, first] * s[:, second]) @ residual.quadratic_mm[0]
+    apart = np.linalg.norm(miss - inside, axis=1)
+    lengths = np.linalg.norm(residual.noise_mm[0], axis=1)
+    reach = 1.0 if residual.one_sided else residual.mean_reach[0]
+    most = float(np.sum(reach * lengths)) + residual.mean_remainder_mm[0]
+    assert apart.mean() - 5 * apart.std() / np.sqrt(len(s)) <= most + 1e-9
 
 
 @settings(max_examples=60, deadline=None)

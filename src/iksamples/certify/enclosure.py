@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_Symbols = tuple[Floats, Floats, Floats, Floats]
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -24,6 +25,7 @@ class Expansion:
     Noise symbol k lies in [-1, 1] everywhere. At a position s it is known better: within
     ``reach_k(s)`` of ``reach_k(s) - 1`` where ``one_sided``, else within ``reach_k(s)`` of zero.
     The reach is convex in s and given at the corners; its uses are convex too, so corners suffice.
+    Its mean over the box is bounded apart, since that at the corners is several times as large.
 
     Attributes:
         centre: Constant part, shape (batch, values).
@@ -32,6 +34,7 @@ class Expansion:
             values); no pairs at all for a ReLU network.
         noise: One row per symbol, shape (batch, symbols, values).
         reach: In [0, 1], in the order of ``corners(d)``, shape (batch, corners, symbols).
+        mean_reach: At least the mean of the reach over the box, shape (batch, symbols).
         one_sided: Whether the symbols lean to one side.
         shares: Which share of a symbol is due to the extent of the box along each axis, roughly,
             shape (batch, d, symbols).
@@ -42,6 +45,7 @@ class Expansion:
     quadratic: Floats
     noise: Floats
     reach: Floats
+    mean_reach: Floats
     one_sided: bool
     shares: Floats
 
@@ -63,6 +67,28 @@ def half_of_corners(d: int) -> Floats:
 def mirrored(values: Floats) -> Floats:
     """Values of half of the corners (batch, corners, ...) for all, in the order of ``corners``."""
     return np.concatenate([values, values[:, ::-1]], axis=1)
+
+
+def sizes(linear: Floats) -> Floats:
+    """Size of ``v = linear s`` at half of the corners, and last its cubic mean at most.
+
+    The cubic mean is ``(mean of |v|^3)^(1/3)``, and the mean of ``|v|^3`` is at most the root of
+    those of ``v^2`` and ``v^4``. Cubic means of sums are at most the sums of cubic means, and means
+    of lower powers are smaller: a polynomial of degree three in such sizes, without negative
+    factors, is on average at most what it is of cubic means.
+
+    Args:
+        linear: Factors of ``s_a``, shape (batch, d, values).
+
+    Returns:
+        Shape (batch, 2^(d - 1) + 1, values).
+    """
+    square = linear * linear
+    total = square.sum(axis=1)
+    fourth = total * total / 3.0 - (2.0 / 15.0) * np.einsum("bav,bav->bv", square, square)
+    mean = np.cbrt(np.sqrt(total / 3.0 * fourth))
+    half = half_of_corners(linear.shape[1])
+    return np.concatenate([np.abs(half @ linear), mean[:, None]], axis=1)
 
 
 @lru_cache(maxsize=16)
@@ -100,12 +126,13 @@ def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) 
     rows[:, :1] = layers.through(centre[:, None, :], 0, which)
     rows[:, 1 : split[0]] = linear
     rows[:, 0] += layers.bias(0, which)
-    reaches, shares = [], []
+    reaches, means, shares = [], [], []
     for depth in range(1, len(layers.weights)):
         # A new symbol touches one neuron, so its row of the next layer is a scaled row of weights.
         apply = _relu if relu else _tanh
-        added, reach, share = apply(rows, split, layers.weight(depth, which))
+        added, reach, mean, share = apply(rows, split, layers.weight(depth, which))
         reaches.append(reach)
+        means.append(mean)
         shares.append(share)
         rows = np.concatenate([layers.through(rows, depth, which), added], axis=1)
         rows[:, 0] += layers.bias(depth, which)
@@ -116,13 +143,14 @@ def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) 
         rows[:, split[0] : split[1]],
         rows[:, split[1] :],
         reach if relu or not reaches else mirrored(reach),
+        np.concatenate(means, axis=1) if means else np.zeros((batch, 0)),
         relu,
         np.concatenate(shares, axis=2) if shares else np.zeros((batch, d, 0)),
     )
 
 
-def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats, Floats, Floats]:
-    """Applies ReLU in place; returns the new symbols' next rows, reach and shares.
+def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
+    """Applies ReLU in place; returns the new symbols' next rows, reach, its mean and shares.
 
     For z in [l, u], l < 0 < u, and slope a = u / (u - l): max(0, z) = a z + g(z) with
     0 <= g(z) = max((1 - a) z, -a z) <= w = -l u / (u - l). The new symbol is 2 g / w - 1. As g is
@@ -167,11 +195,11 @@ def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
     rows *= slope[:, None, :]
     rows[:, 0] += half
     outgoing = weight[0][part] if len(weight) == 1 else weight[np.arange(len(rows))[:, None], part]
-    return own_half[:, :, None] * outgoing, reach, share
+    return own_half[:, :, None] * outgoing, reach, reach.mean(axis=1), share
 
 
-def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats, Floats, Floats]:
-    """Applies tanh in place; returns the new symbols' next rows, reach and shares.
+def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
+    """Applies tanh in place; returns the new symbols' next rows, reach, its mean and shares.
 
     With z = z0 + v + e, v the linear part and |e| <= o the rest: tanh z = t0 + t1 (v + e)
     + t2 v^2 / 2 + r, |r| <= |t2| (2 |v| + o) o / 2 + max |tanh'''| (|v| + o)^3 / 6.
@@ -189,10 +217,9 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
 
     bend = np.abs(half_bend) * other
     half = bend * (2.0 * straight + other) + third * ends**3
-    # At a corner, over half, with x = |v| + o: (2 bend + third x^2) x - bend o.
+    # At a corner, over half, with x = |v| + o: (2 bend + third x^2) x - bend o. So too on average.
     scale = 1.0 / np.maximum(half, _TINY)
-    size = np.abs(half_of_corners(split[0] - 1) @ linear)
-    size += other[:, None]
+    size = sizes(linear) + other[:, None]
     reach = size * size
     reach *= (third * scale)[:, None]
     reach += (2.0 * bend * scale)[:, None]
@@ -206,7 +233,7 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> tuple[Floats,
     rows[:, 0] = value
     rows[:, 1:] *= slope[:, None, :]
     rows[:, split[0] : split[1]] += half_bend[:, None, :] * product
-    return half[:, :, None] * weight, reach, share
+    return half[:, :, None] * weight, reach[:, :-1], reach[:, -1], share
 
 
 def third_derivative_bound(lower: Floats, upper: Floats) -> Floats:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.compared import PARALLEL
-from iksamples.certify.enclosure import Expansion, half_of_corners, mirrored, pairs
+from iksamples.certify.enclosure import Expansion, mirrored, pairs, sizes
 
 
 Floats = NDArray[np.float64]
@@ -243,30 +243,33 @@ class Linkage:
         quadratic[:, d:] += bent[:, second[d:], first[d:]]
         return position.T, linear @ gradient, quadratic, gradient
 
-    def left_out(self, joints: Expansion, edges: Floats) -> tuple[Floats, Floats]:
-        """What the second order leaves out at the corners, and which edges it is due to, roughly.
+    def left_out(self, joints: Expansion, edges: Floats) -> tuple[Floats, Floats, Floats]:
+        """What the second order leaves out, and which edges it is due to, roughly.
 
         Args:
             joints: The joints over the boxes.
             edges: The boxes' edges, as shares of the region's, shape (boxes, d).
 
         Returns:
-            Bounds [mm], shape (boxes, corners); shares of the largest of them, shape (boxes, d).
+            Bounds at the corners [mm], shape (boxes, corners); of the mean over the box [mm], shape
+            (boxes,); shares of the largest at the corners, shape (boxes, d).
         """
         # Changes of the angles: the linear part corner by corner (opposite corners have opposite
         # changes, so half of them do), everything else at its largest.
-        sums, half = self.angle_sums.T, half_of_corners(edges.shape[1])
+        sums = self.angle_sums.T
         added = joints.linear @ sums
-        turns = self.turns(np.abs(half @ added))
+        turns = self.turns(sizes(added))
         small_turns = self.turns(largest_bend(joints.quadratic, joints.noise, sums))[:, None]
         lengths = self.lengths_mm(joints.centre)[:, None]
         shifts: Floats | float = 0.0
         small_shifts: Floats | float = 0.0
         if self.slides_at_all:
-            shifts = self.shifts_mm(np.abs(half @ joints.linear))
+            shifts = self.shifts_mm(sizes(joints.linear))
             small_shifts = self.shifts_mm(largest_bend(joints.quadratic, joints.noise))[:, None]
-        remainder = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
-        remainder += cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
+        bent = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
+        cubic = cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
+        remainder = bent + cubic
+        remainder, mean = remainder[:, :-1], remainder[:, -1]
 
         # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
         alone = self.turns(np.abs(added))
@@ -274,7 +277,7 @@ class Linkage:
         # Any edge may be to blame for what is not linear, so every edge is halved in the end.
         due /= np.maximum(due.sum(axis=1, keepdims=True), np.finfo(float).tiny)
         due += 0.2 * edges / edges.sum(axis=1, keepdims=True)
-        return mirrored(remainder), remainder.max(axis=1)[:, None] * due
+        return mirrored(remainder), mean, remainder.max(axis=1)[:, None] * due
 
     def vectors_at(self, joints: Floats) -> Floats:
         """Every ``u_s`` in the given pose, shape (batch or 1, joints + 1, 3)."""

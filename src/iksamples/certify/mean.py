@@ -11,6 +11,7 @@ from iksamples.arm.chain import SerialChain
 from iksamples.arm.target import Target
 from iksamples.certify.enclosure import corners
 from iksamples.certify.residual import ErrorOverBoxes, Residual
+from iksamples.certify.search import halved
 from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
@@ -22,7 +23,10 @@ Floats = NDArray[np.float64]
 _FIRST = 8
 """Cells per axis to begin with, up to three dimensions."""
 _ROUND = 4096
-"""Cells split at once, at most."""
+"""Cells halved at once, at most; fewer are halved several times."""
+_AIM = 0.8
+"""Share of the allowed gap that a round of splits aims at."""
+_LARGEST = 1e100  # what a cell counts for whose bounds overflowed
 _FLAT = 1e-3
 """Slopes below this share of the steepest one are raised to it; less would cost digits."""
 _SHARE_SLACK = 1e-7
@@ -171,7 +175,7 @@ def certify_coverage(
         if most - least > atol:
             cells.split(volume * (cells.most - cells.least), atol)
         else:
-            cells.split(volume * undecided, 0.0)
+            cells.split(volume * undecided, mixed)
 
 
 def _errors(
@@ -238,26 +242,25 @@ class _Cells:
         )
 
     def split(self, loss: Floats, allowed: float) -> None:
-        """Halves the cells that lose most, whose halves are new.
+        """Halves the cells that lose most, several times where far too much is lost.
 
-        A cell may stay as it is while it loses no more than its part of what is allowed.
+        A halving is taken to halve a loss, and as few cells are halved as that makes enough.
         """
-        order = np.argsort(-loss)[:_ROUND]
-        chosen = order[loss[order] > 0.5 * allowed / len(loss)]
-        rows = np.arange(len(chosen))
-        part, low, edge = self.part[chosen], self.low[chosen], self.edge[chosen]
-        axis = self.weight[chosen].argmax(axis=1)
-        edge[rows, axis] *= 0.5
-        twin = low.copy()
-        twin[rows, axis] += edge[rows, axis]
-        keep = np.ones(len(loss), bool)
-        keep[chosen] = False
-        kept = np.flatnonzero(keep)
-        self.part = np.concatenate([self.part[kept], part, part])
-        self.low = np.concatenate([self.low[kept], low, twin])
-        self.edge = np.concatenate([self.edge[kept], edge, edge])
+        loss = np.minimum(loss, _LARGEST)
+        excess = loss.sum() / max(_AIM * allowed, 1.0 / _LARGEST)
+        halvings = int(np.clip(np.ceil(np.log2(excess)), 1, self.low.shape[1]))
+        order = np.argsort(-loss)[: min(2 * _ROUND >> halvings, np.count_nonzero(loss))]
+        gain = np.cumsum(loss[order]) * (1.0 - 0.5**halvings)
+        chosen = order[: np.searchsorted(gain, loss.sum() - _AIM * allowed) + 1]
+        low, edge, weight = self.low[chosen], self.edge[chosen], self.weight[chosen]
+        for _ in range(halvings):
+            low, edge, weight = halved(low, edge, weight)
+        kept = np.delete(np.arange(len(loss)), chosen)
+        self.part = np.concatenate([self.part[kept], *[self.part[chosen]] * 2**halvings])
+        self.low = np.concatenate([self.low[kept], low])
+        self.edge = np.concatenate([self.edge[kept], edge])
         self.least, self.most, self.weight = self.least[kept], self.most[kept], self.weight[kept]
-        self.new = 2 * len(chosen)
+        self.new = len(low)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,10 +302,10 @@ def _cut(residual: Residual) -> _Cut:
     across = np.linalg.norm(terms - along[:, :, None] * direction[:, None], axis=2)
     size = np.abs(residual.noise_mm)
     noise = np.linalg.norm(size.sum(axis=1), axis=1)
-    # The mean of something convex is at most the mean of its corners.
     mean_noise = noise
     if not residual.one_sided:
-        mean_noise = np.linalg.norm(residual.reach @ size, axis=2).mean(axis=1)
+        each = residual.mean_reach * np.linalg.norm(size, axis=2)
+        mean_noise = np.minimum(noise, each.sum(axis=1))
     return _Cut(
         mean,
         along[:, :d],
@@ -311,7 +314,7 @@ def _cut(residual: Residual) -> _Cut:
         across**2 @ square,
         (across @ largest) ** 2,
         noise + residual.remainder_mm.max(axis=1),
-        mean_noise + residual.remainder_mm.mean(axis=1),
+        mean_noise + residual.mean_remainder_mm,
     )
 
 

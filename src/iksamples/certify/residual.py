@@ -52,9 +52,11 @@ class Residual:
             coordinates).
         reach: Reach of the symbols at the corners (``enclosure.Expansion``), shape (boxes, corners,
             symbols).
+        mean_reach: At least the mean of the reach over the box, shape (boxes, symbols).
         one_sided: Whether the symbols lean to one side.
         remainder_mm: Norm of the remainder at the corners of the box, convex in s, shape
             (boxes, corners).
+        mean_remainder_mm: At least its mean over the box, shape (boxes,).
         most_mm: No residual over a box is larger, by the arm's reach alone, shape (boxes,).
         weight_mm: How much is lost to the extent of the box along each axis, roughly; says which
             axis is worth splitting, shape (boxes, d).
@@ -65,8 +67,10 @@ class Residual:
     quadratic_mm: Floats
     noise_mm: Floats
     reach: Floats
+    mean_reach: Floats
     one_sided: bool
     remainder_mm: Floats
+    mean_remainder_mm: Floats
     most_mm: Floats
     weight_mm: Floats
 
@@ -278,7 +282,7 @@ class _Carried:
         if joints.quadratic.shape[1]:
             quadratic += joints.quadratic @ gradient
         noise = joints.noise @ gradient
-        remainder, blame = self.linkage.left_out(joints, edges)
+        remainder, mean, blame = self.linkage.left_out(joints, edges)
 
         asked, along = centre[:, inputs], np.zeros((*radius.shape, len(inputs)))
         along[:, inputs, range(len(inputs))] = radius[:, inputs]
@@ -287,8 +291,8 @@ class _Carried:
             goal = replace(joints, centre=asked, linear=along, quadratic=exact, noise=exact)
             asked, along, bent, _ = self.goal.second_order(asked, along, rows)
             quadratic -= bent
-            beyond, due = self.goal.left_out(goal, edges)
-            remainder, blame = remainder + beyond, blame + due
+            beyond, mean_beyond, due = self.goal.left_out(goal, edges)
+            remainder, mean, blame = remainder + beyond, mean + mean_beyond, blame + due
         weight = (joints.shares @ np.abs(noise).sum(axis=2)[:, :, None])[:, :, 0]
         weight += np.abs(quadratic).sum(axis=2) @ _axes_of_pairs(radius.shape[1])
         return Residual(
@@ -297,8 +301,10 @@ class _Carried:
             quadratic,
             noise,
             joints.reach,
+            joints.mean_reach,
             joints.one_sided,
             remainder,
+            mean,
             self._most_mm(joints, centre, radius) + blur,
             weight + blame,
         )

@@ -282,17 +282,35 @@ def _split(low: Floats, edge: Floats, weight: Floats, waiting: int) -> tuple[Int
     """
     of = np.arange(len(low))
     for _ in range(low.shape[1]):
-        rows = np.arange(len(low))
-        axis = np.where(edge > _SMALLEST, weight, -1.0).argmax(axis=1)
-        edge, weight, twin = edge.copy(), weight.copy(), low.copy()
-        edge[rows, axis] *= 0.5
-        weight[rows, axis] *= 0.5
-        twin[rows, axis] += edge[rows, axis]
-        low, edge = np.concatenate([low, twin]), np.concatenate([edge, edge])
-        of, weight = np.concatenate([of, of]), np.concatenate([weight, weight])
+        low, edge, weight = halved(low, edge, weight)
+        of = np.concatenate([of, of])
         if 2 * len(low) + waiting > _FILL:
             break
     return of, low, edge
+
+
+def halved(low: Floats, edge: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
+    """All lower, then all upper halves of boxes, each cut along the axis that weighs most.
+
+    Args:
+        low: Lower corners as shares of edges, shape (n, d).
+        edge: Edges, likewise.
+        weight: What is lost along each axis, shape (n, d).
+
+    Returns:
+        The same three of the halves, shape (2 n, d).
+    """
+    rows = np.arange(len(low))
+    axis = np.where(edge > _SMALLEST, weight, -1.0).argmax(axis=1)
+    edge, weight, twin = edge.copy(), weight.copy(), low.copy()
+    edge[rows, axis] *= 0.5
+    weight[rows, axis] *= 0.5
+    twin[rows, axis] += edge[rows, axis]
+    return (
+        np.concatenate([low, twin]),
+        np.concatenate([edge, edge]),
+        np.concatenate([weight, weight]),
+    )
 
 
 def _keep(

@@ -97,6 +97,7 @@ class Table:
             np.concatenate([squares, np.stack(mixed, axis=1)], axis=1) if mixed else squares,
             np.stack(noise, axis=1) if noise else np.zeros((batch, 0, self.n_outputs)),
             np.ones((batch, len(signs), len(higher))),
+            np.ones((batch, len(higher))),
             False,
             np.broadcast_to(shares.reshape(d, len(higher)), (batch, d, len(higher))),
         )
