@@ -32,6 +32,10 @@ def noise(shape, sd, seed):
     return sd * np.random.default_rng([seed, 3]).normal(size=shape)
 
 
+def test_a_whole_number_of_millimetres_leaves_turns_as_they_are():
+    np.testing.assert_array_equal(Prior(3, 0.01).deviations(2)[0], [3, 3, 3, 0.01, 0.01, 0.01])
+
+
 def test_without_noise_the_arm_is_found(chain):
     arm, q, fresh = drawn(chain, 1), postures(chain, 20, 1), postures(chain, 50, 2)
     fitted = fit_arm(chain, q, arm.forward_mm(q), prior=PRIOR, noise_mm=0)

@@ -58,7 +58,7 @@ class Prior:
 
     def deviations(self, n_joints: int) -> Floats:
         """Standard deviations of the deviations [mm and rad], shape (joints + 1, 6)."""
-        rows = np.full((n_joints + 1, 6), self.displacement_mm)
+        rows = np.full((n_joints + 1, 6), self.displacement_mm, float)
         rows[:, 3:] = self.rotation_rad
         if self.tool_mm:
             rows[-1, :3] = self.tool_mm

@@ -49,6 +49,39 @@ MethodFolder = Annotated[
 ]
 
 
+Arm = Annotated[
+    Path | None,
+    typer.Option("--robot", help="The arm as drawn: a URDF, or a Denavit-Hartenberg table."),
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        metavar="WANTED=NAME",
+        help="What a column is whose name does not say it, such as x_mm='tcp x' or q1_deg=j1; as "
+        "often as needed.",
+    ),
+]
+
+
+def columns_of(said: list[str] | None) -> dict[str, str]:
+    """What ``--column`` says."""
+    pairs = [one.partition("=") for one in said or []]
+    for wanted, equals, name in pairs:
+        if not (wanted and equals and name):
+            raise IksamplesError(
+                f"--column {wanted}{equals}{name}: say what it is and its name, such as x_mm=tcp_x."
+            )
+    return {wanted: name for wanted, _, name in pairs}
+
+
+def arm_settings(robot: Path | None, tip_link: str | None) -> dict[str, object]:
+    """What ``--robot`` and ``--tip-link`` say, as a study does; nothing where no arm is named."""
+    if robot is None:
+        return {}
+    return {"robot": {"urdf": str(robot), "tip_link": tip_link}}
+
+
 def record_sets(
     study: "Study", task: "Task", sets: "dict[str, tuple[Design, int]]"
 ) -> "Iterator[SampleSet]":

@@ -1,11 +1,11 @@
 """`iksamples size`: how many samples, from recorded ones or from anybody's learning curve."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from iksamples.cli.common import app
+from iksamples.cli.common import Arm, Columns, app, arm_settings, columns_of
 from iksamples.errors import IksamplesError
 
 
@@ -13,8 +13,18 @@ if TYPE_CHECKING:
     from iksamples.study import Study
 
 
+_OPTIONS = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
+
+
 @app.command()
 def size(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Records of an arm (CSV or Parquet): x_mm, y_mm, z_mm and q1_rad, q2_rad, ..., or "
+            "in other units that the names say, such as x_m and q1_deg."
+        ),
+    ] = None,
     curve: Annotated[
         Path | None,
         typer.Option(
@@ -22,6 +32,13 @@ def size(
             "error_deg or error, a row per training."
         ),
     ] = None,
+    robot: Arm = None,
+    tip_link: Annotated[str | None, typer.Option(help="Link whose origin was measured.")] = None,
+    column: Columns = None,
+    subsets: Annotated[int, typer.Option(help="Random orders of the records.")] = 20,
+    of: Annotated[
+        str, typer.Option(help="Which error of the records held out: worst, p99, p95 or mean.")
+    ] = "worst",
     tolerance_mm: Annotated[float | None, typer.Option(help="Error allowed [mm].")] = None,
     tolerance_deg: Annotated[float | None, typer.Option(help="Error allowed [deg].")] = None,
     tolerance: Annotated[
@@ -35,24 +52,51 @@ def size(
     """Say how many samples it takes: answer, learning curve, and what to record next."""
     from iksamples.study import parse_study
 
-    if curve is None:
-        raise IksamplesError("name a learning curve: iksamples size --curve runs.csv.")
+    if (curve is None) == (recording is None):
+        raise IksamplesError(
+            "name your records, iksamples size recorded.csv, or a learning curve, iksamples size "
+            "--curve runs.csv."
+        )
     said = {"mm": tolerance_mm, "deg": tolerance_deg, "": tolerance}
     given = {unit: value for unit, value in said.items() if value is not None}
     if len(given) > 1:
         raise IksamplesError("--tolerance-mm, --tolerance-deg and --tolerance: give one of them.")
-    study = parse_study(
-        {
-            "name": "recorded",
-            "tolerance": {
-                "error_mm": next(iter(given.values()), 1.0),
-                "success_share": success_share,
-                "confidence": confidence,
-            },
+    asked: dict[str, Any] = {
+        "error_mm": next(iter(given.values()), 1.0),
+        "success_share": success_share,
+        "confidence": confidence,
+    }
+    where = "--tolerance, --success-share, --confidence, --of or --subsets"
+    if curve is not None:
+        study = parse_study({"name": "recorded", "tolerance": asked}, where)
+        _size_curve(study, curve, given)
+        return
+    assert recording is not None
+    if set(given) - {"mm"}:
+        raise IksamplesError("records are judged in mm; say what is allowed with --tolerance-mm.")
+    from iksamples.recorded.learn import sized_study
+
+    settings = {
+        "name": "recorded",
+        "tolerance": asked | {"of": of},
+        "samples": {
+            "recorded": {
+                "path": str(recording),
+                "columns": columns_of(column),
+                "subsets": subsets,
+            }
         },
-        "--tolerance, --success-share or --confidence",
-    )
-    _size_curve(study, curve, given)
+        **arm_settings(robot, tip_link),
+    }
+    _size_recording(sized_study(settings, where), robot is not None, bool(given))
+
+
+def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
+    from iksamples.recorded.learn import learning_curve
+    from iksamples.recorded.told import told
+
+    found = learning_curve(study, drawn)
+    typer.echo("\n".join(told(study, found, judged)))
 
 
 def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
@@ -63,10 +107,9 @@ def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
 
     runs, unit = read_curve(curve)
     if given and unit not in given:
-        option = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
         raise IksamplesError(
             f"{curve}: its errors are {f'in {unit}' if unit else 'without a unit'}; say what is "
-            f"allowed with {option[unit]}, or the unit in the column's name, such as error_mm."
+            f"allowed with {_OPTIONS[unit]}, or the unit in the column's name, such as error_mm."
         )
     one = answer(study, outcomes(study, runs)).variants[0]
     lines = [f"{curve}: {len(runs)} runs of {len(one.sizes)} sizes."]

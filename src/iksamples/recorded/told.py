@@ -2,13 +2,86 @@
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from iksamples.answer.answer import Size, VariantAnswer
-from iksamples.study import Tolerance
+from iksamples.answer.assess import answer
+from iksamples.answer.outcomes import outcomes
+from iksamples.recorded.judge import n_held
+from iksamples.recorded.learn import Learned
+from iksamples.stats import share_lower
+from iksamples.study import Study, Tolerance
 from iksamples.text import percent, percent_down, several, whole
 
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _HEAD = ("n", "runs", "within", "at least", "best", "median", "worst", "bound")
+
+
+def told(study: Study, found: Learned, judged: bool) -> list[str]:
+    """What records say, in lines.
+
+    Args:
+        study: The study.
+        found: What was learned from them.
+        judged: Whether there is a tolerance to hold it against.
+    """
+    recording = found.recording
+    n, held = len(recording), n_held(study, len(recording))
+    assert study.samples.recorded is not None
+    lines = [
+        f"{recording.table.path}: {several(n, 'record')} ({', '.join(recording.inputs)}; "
+        f"{', '.join(recording.joint_names)}). In each of "
+        f"{study.samples.recorded.subsets} random orders {held} judge, and the others are learned "
+        "from."
+    ]
+    lines += [f"Note: {doubt}" for doubt in found.doubts]
+    lines += [f"Left out: {name}: {why}" for name, why in found.left_out.items()]
+    drawn = "nominal" in set(found.judged["method"])
+    if not drawn:
+        lines.append(
+            "No drawing of the arm: errors of joints are told in mm to first order, by how the "
+            "tool moves between the records near by."
+        )
+    what = {"worst": "the worst record", "mean": "the mean"}.get(
+        study.tolerance.of, f"{study.tolerance.of[1:]} % of the records"
+    )
+    if judged:
+        lines.append(
+            f"For {asked(study.tolerance, 'mm', 'orders')}, {what} of those held out in each:"
+        )
+    for one in answer(study, outcomes(study, found.runs)).variants:
+        own = found.judged[found.judged["method"] == one.method]
+        lines += ["", f"{one.method} ({one.description})"]
+        if judged:
+            lines += [f"  {verdict(one, 'orders')} {_of_records(study, one, own)}"]
+        lines += sizes_table(one.sizes, "mm", judged)
+        joints = own[own["n_samples"] == one.sizes[-1].n_samples]["joint_deg"]
+        if joints.notna().any():
+            lines.append(
+                f"  With {one.sizes[-1].n_samples} samples the joint that is off farthest is off "
+                f"by {number(float(joints.median()))} deg, median over records held out."
+            )
+        if judged and one.kind != "nominal":
+            lines += [f"  {line}" for line in beyond(one)]
+    return lines
+
+
+def _of_records(study: Study, one: VariantAnswer, own: "pd.DataFrame") -> str:
+    """How many records are within the tolerance when others are learned from; each counts once."""
+    size = one.shown
+    rows = own[own["n_samples"] == size.n_samples]
+    middle = rows.groupby("record")["error_mm"].median()
+    met = int((middle <= study.tolerance.error_mm).sum())
+    confidence = study.tolerance.confidence
+    lower = share_lower(met, len(middle), confidence)
+    return (
+        f"With {several(size.n_samples, 'sample')} {met} of {len(middle)} records held out are "
+        f"within: at least {percent_down(lower)} of such places, with {percent(confidence)} "
+        "confidence."
+    )
 
 
 def verdict(one: VariantAnswer, runs: str) -> str:
@@ -19,6 +92,8 @@ def verdict(one: VariantAnswer, runs: str) -> str:
         runs: What there are several of at each size, such as ``runs``.
     """
     largest = whole(one.sizes[-1].n_samples)
+    if not one.sizes[-1].n_samples:
+        return "it needs no samples." if one.found else "it fails, and no samples change that."
     if one.found:
         below = one.smaller
         less = f"; {whole(below.n_samples)} do not" if below else "; fewer were not tried"

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -30,8 +30,10 @@ UNITS = {
 
 _MISSED_MM = 1.0
 _OTHER_BRANCH_RAD = 0.5
-_NO_FIT, _FIT = 0.25, 0.05
+_NO_FIT = 0.25
 """Median miss of the model, as a share of how far the samples are spread."""
+_TINY, _BETTER = 1e-6, 0.7
+"""A miss that no unit explains, and what a column's right unit leaves of a miss at most."""
 _NAMED_ROWS = 5
 
 
@@ -100,7 +102,9 @@ def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
             f"{path}: {flat[0]} is the same in every row, so the samples span no volume. "
             "Record some at another place, such as the workspace's corners."
         )
-    values = values * _factors(table, task, columns, values)
+    values, said = in_units(table, columns, values, lambda tried: _miss(task, tried))
+    if said:
+        print(f"{path}: {said}", file=sys.stderr)
     inputs, joints = values[:, : len(task.x)], values[:, len(task.x) :]
     for line in _doubts(task, table, inputs, joints):
         print(f"{path}: {line}", file=sys.stderr)
@@ -181,8 +185,19 @@ def plain(name: str) -> str:
     return re.sub(r"[\s_-]+", "_", name.strip().lower())
 
 
-def _factors(table: Table, task: Task, columns: list[Column], values: Floats) -> Floats:
-    """What each column is multiplied by: as its name says, else as the arm's model says.
+def in_units(
+    table: Table, columns: list[Column], values: Floats, miss: Callable[[Floats], float]
+) -> tuple[Floats, str]:
+    """The values in mm and rad: as each column's name says, else as the arm's model says.
+
+    Args:
+        table: Where they are from.
+        columns: What they are.
+        values: As they stand there, shape (rows, columns).
+        miss: By how much the model misses values in mm and rad, as a share of their spread.
+
+    Returns:
+        The values, and what was taken for a unit that is not said; empty: all are.
 
     Raises:
         IksamplesError: The samples are not this arm's in the units that are said, or in any.
@@ -196,30 +211,67 @@ def _factors(table: Table, task: Task, columns: list[Column], values: Floats) ->
         )
 
     tries = list(product(("mm", "cm", "m"), ("rad", "deg")))
-    misses = {one: _miss(task, values * factors(*one, True)) for one in tries}
+    misses = {one: miss(values * factors(*one, True)) for one in tries}
     best = min(misses, key=misses.__getitem__)
     unsaid = sorted({column.unit for column in columns if column.said is None})
     if misses[best] <= _NO_FIT:
-        if unsaid:
-            taken = " and ".join(best[0] if unit == "mm" else best[1] for unit in unsaid)
-            print(
-                f"{table.path}: no unit is said for {_listed(columns, unsaid)}; taken as {taken}, "
-                "in which the arm's model fits.",
-                file=sys.stderr,
-            )
-        return factors(*best, True)
-    others = {one: _miss(task, values * factors(*one, False)) for one in tries}
+        _require_units_as_said(table, columns, values * factors(*best, True), miss, np.inf)
+        taken = " and ".join(best[0] if unit == "mm" else best[1] for unit in unsaid)
+        return values * factors(*best, True), (
+            f"no unit is said for {_listed(columns, unsaid)}; taken as {taken}, in which the arm's "
+            "model fits."
+            if unsaid
+            else ""
+        )
+    others = {one: miss(values * factors(*one, False)) for one in tries}
     right = min(others, key=others.__getitem__)
+    angle = next((c for c in columns if c.wanted.startswith("q_") and c.unit == "rad"), columns[-1])
+    if others[right] > _NO_FIT:
+        _require_units_as_said(table, columns, values * factors(*best, True), miss, _NO_FIT)
     hint = (
         f"In {right[0]} and {right[1]} they would: say so in the names, such as x_{right[0]} and "
-        f"q_{task.q.names[0]}_{right[1]}."
-        if others[right] <= _FIT
+        f"{angle.wanted.removesuffix('_rad')}_{right[1]}."
+        if others[right] <= _NO_FIT
         else "Is it another arm, base, tool or zero of a joint, or a column in another's place?"
     )
     raise IksamplesError(
         f"{table.path}: the joint values do not reach the positions: by the arm's model, half of "
         f"the rows miss by {misses[best] * 100:.0f} % of the samples' spread or more. {hint}"
     )
+
+
+def _require_units_as_said(
+    table: Table,
+    columns: list[Column],
+    values: Floats,
+    miss: Callable[[Floats], float],
+    fits: float,
+) -> None:
+    """Stops where the model fits much better with a single column in another unit than it says.
+
+    Args:
+        table: As ``in_units``.
+        columns: Likewise.
+        values: In the units that are said.
+        miss: Likewise.
+        fits: Miss at which the model fits with that unit.
+
+    Raises:
+        IksamplesError: Names the column and that unit.
+    """
+    plain = miss(values)
+    for i, column in enumerate(columns):
+        if column.said is None or plain <= _TINY:
+            continue
+        for other, factor in UNITS[column.unit].items():
+            ratio = factor / UNITS[column.unit][column.said]
+            tried = values.copy()
+            tried[:, i] *= ratio
+            if ratio != 1 and miss(tried) < min(_BETTER * plain, fits):
+                raise IksamplesError(
+                    f"{table.path}: {table.names[column.at]} is said to be in {column.said}, but "
+                    f"by the arm's model it is in {other}. Correct its name or its values."
+                )
 
 
 def _miss(task: Task, values: Floats) -> float:

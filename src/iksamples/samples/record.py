@@ -127,7 +127,7 @@ def sample_set(
         joints,
         *_fresh(study, task, len(x), "validation"),
         *_fresh(study, task, len(x), "test"),
-        *_normalisation(study.samples.normalisation, x),
+        *normalisation(study.samples.normalisation, x),
         spacing,
         fill,
         n_masked,
@@ -246,7 +246,7 @@ def region_points(region: Region, n: int) -> Floats:
     return np.concatenate([corners, _sobol(region, n, np.random.default_rng(0))])
 
 
-def _normalisation(kind: str, x: Floats) -> tuple[Floats, Floats]:
+def normalisation(kind: str, x: Floats) -> tuple[Floats, Floats]:
     """Offset and scale [mm or rad] of the inputs' min-max scaling."""
     low, high = x.min(axis=0), x.max(axis=0)
     if kind == "unit":

@@ -4,7 +4,45 @@ from typing import Literal
 
 from pydantic import Field
 
+from iksamples.study.arm import Expected
 from iksamples.study.section import Section
+
+
+class Assumed(Section):
+    """What is taken for granted of the arm and of the measurement."""
+
+    deviation_mm: float = Field(
+        1.0,
+        gt=0,
+        le=1000,
+        description="Displacement of each link from the drawing, standard deviation along each "
+        "axis [mm].",
+    )
+    deviation_rad: float = Field(
+        0.01745,
+        gt=0,
+        le=1,
+        description="Turn of each link, zeros of the joints included, standard deviation about "
+        "each axis [rad].",
+    )
+    tool_mm: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="Displacement of the tool, where its place on the flange is less certain [mm]; "
+        "null: as the links.",
+    )
+    noise_mm: float = Field(
+        0.1, ge=0, le=1000, description="Noise of a measured position along each axis [mm]."
+    )
+    noise_rad: float = Field(
+        0.001, ge=0, le=1, description="Noise of a measured orientation about each axis [rad]."
+    )
+
+    @property
+    def expectation(self) -> Expected:
+        """The same as methods take it."""
+        return Expected(**self.model_dump(exclude={"tool_mm"}))
 
 
 class Recorded(Section):
@@ -38,3 +76,10 @@ class Recorded(Section):
     socket_distance_mm: float = Field(
         50.0, gt=0, description="Distance between the two sockets of the tool [mm]."
     )
+    postures_per_place: int = Field(
+        10,
+        ge=4,
+        description="Postures with the tool in one place, in both sockets alike, before those of "
+        "the next place are taken.",
+    )
+    assumed: Assumed = Assumed()

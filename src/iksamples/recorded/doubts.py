@@ -1,0 +1,250 @@
+"""What is odd about records, by their rows: mixed units, repeats, outliers, branches, limits."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.errors import IksamplesError
+from iksamples.recorded.read import FEWEST, Recording
+
+
+Flags = NDArray[np.bool_]
+
+_OFF, _OFF_PLANE = 6.0, 12.0
+"""Times the median miss from which on a record is odd: of the drawing's, and of planes', which are
+less alike."""
+_FLOOR_SHARE, _FLOOR_MM, _FLOOR_RAD = 0.02, 1.0, 0.5
+"""A miss is none where it is less than this share of the records' spread, or than this."""
+_OTHERS = {"mm": (1000.0, 100.0, 10.0, 0.1, 0.01, 0.001), "rad": (180 / np.pi, np.pi / 180)}
+_WORDS = {
+    10.0: "cm among mm, or mm among m",
+    100.0: "m among cm",
+    1000.0: "m among mm",
+    180 / np.pi: "rad among deg",
+}
+_MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
+_GROUP, _APART = 3, 20.0
+"""Records in a group, and how many times farther out another one begins: units are mixed."""
+_NAMED_ROWS = 5
+
+
+def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recording, list[str]]:
+    """Records that can be learned from, and what is odd about them, a sentence each.
+
+    What stands there twice is left out; everything else that is odd is kept, and named.
+
+    Args:
+        recording: The records.
+        drawing: The arm as drawn; None: what is odd shows in records that lie near each other.
+
+    Raises:
+        IksamplesError: Some records are in other units than the rest, or too few are left.
+    """
+    whole = np.nan_to_num(np.concatenate([recording.position_mm, recording.joints], axis=1))
+    _, first = np.unique(whole, axis=0, return_index=True)
+    again = np.setdiff1d(np.arange(len(whole)), first)
+    lines = [*recording.remarks]
+    if len(again):
+        lines.append(
+            f"{len(again)} of {len(whole)} records stand there twice, the same in every number, "
+            f"and are left out ({_rows(recording, again)})."
+        )
+        recording = recording.select(np.sort(first))
+    if len(recording) < FEWEST:
+        raise IksamplesError(
+            f"{recording.table.path}: {len(recording)} different records; at least {FEWEST} are "
+            "needed to learn from some and judge by others."
+        )
+    flat = [name for name, extent in _extents(recording) if not extent]
+    if flat:
+        raise IksamplesError(
+            f"{recording.table.path}: {flat[0]} is the same in every record, so nothing can be "
+            "learned of it. Record some at another place."
+        )
+    if drawing is None:
+        lines += _implausible(recording)
+    missed = _position_misses(recording, drawing)
+    far = missed > _bound(recording, drawing, missed)
+    _require_one_unit(recording, drawing, missed, far)
+    return recording, [*lines, *_doubts(recording, drawing, missed, far)]
+
+
+def _extents(recording: Recording) -> Iterator[tuple[str, float]]:
+    yield from zip(recording.inputs, np.ptp(recording.x, axis=0), strict=True)
+
+
+def _floor(recording: Recording) -> float:
+    where = _positions(recording)
+    spread = np.sqrt(np.mean(np.sum((where - np.median(where, axis=0)) ** 2, axis=1)))
+    return float(max(_FLOOR_MM, _FLOOR_SHARE * min(spread, 50 * np.median(np.abs(where)))))
+
+
+def _positions(recording: Recording) -> Floats:
+    return recording.position_mm[:, recording.positions]
+
+
+def _position_misses(recording: Recording, drawing: SerialChain | None) -> Floats:
+    """How far each tool is from where the drawing, or else its neighbours, put it [mm]."""
+    where = _positions(recording)
+    if drawing is not None:
+        seen = recording.positions
+        return np.linalg.norm(drawing.forward_mm(recording.joints)[:, seen] - where, axis=1)
+    return np.linalg.norm(_off_neighbours(recording.joints, where, _floor(recording)), axis=1)
+
+
+def _off_neighbours(key: Floats, values: Floats, floor: float) -> Floats:
+    """How far records are off planes through those that are nearest to each, shape of the values.
+
+    In a second pass only through those that were not odd in the first, which an odd neighbour may
+    have made so.
+
+    Args:
+        key: What says who is near, and the planes' variables, shape (n, d).
+        values: What lies in a plane, shape (n, k).
+        floor: A distance that is not odd.
+    """
+    sound = np.ones(len(key), bool)
+    off = values
+    for _ in range(2):
+        off = values - _planes(key, values, sound)
+        sound = ~_odd(np.linalg.norm(off, axis=1), floor)
+        if sound.sum() < FEWEST:
+            break
+    return off
+
+
+def _planes(key: Floats, values: Floats, sound: Flags) -> Floats:
+    """Values at each record of a plane fitted to the sound ones nearest to it."""
+    from scipy.spatial import KDTree
+
+    scale = np.subtract(*np.quantile(key[sound], [0.75, 0.25], axis=0))
+    scaled = key / np.where(scale > 0, scale, 1)
+    among = np.flatnonzero(sound)
+    k = min(2 * (key.shape[1] + 1), len(among) - 1)
+    _, near = KDTree(scaled[sound]).query(scaled, k=k + 1)
+    near = among[near]
+    # The record itself has no part in its own plane.
+    itself = near == np.arange(len(key))[:, None]
+    itself[~itself.any(axis=1), -1] = True
+    near = near[~itself].reshape(len(key), k)
+    step = scaled[near] - scaled[:, None]
+    design = np.concatenate([np.ones((*step.shape[:2], 1)), step], axis=2)
+    return (np.linalg.pinv(design, rcond=1e-3) @ values[near])[:, 0]
+
+
+def _odd(missed: Floats, floor: float) -> Flags:
+    return missed > max(_OFF_PLANE * float(np.median(missed)), floor)
+
+
+def _bound(recording: Recording, drawing: SerialChain | None, missed: Floats) -> float:
+    """The largest miss that is not odd [mm]."""
+    times = _OFF_PLANE if drawing is None else _OFF
+    return max(times * float(np.median(missed)), _floor(recording))
+
+
+def _require_one_unit(
+    recording: Recording, drawing: SerialChain | None, missed: Floats, far: Flags
+) -> None:
+    """Stops where another unit explains what some records are off by.
+
+    Raises:
+        IksamplesError: Names the rows.
+    """
+    turns = np.array([unit == "rad" for unit in recording.joint_units])
+    bound = _bound(recording, drawing, missed)
+    for kind, factors in _OTHERS.items():
+        for factor in factors:
+            changed = recording.select(np.ones(len(recording), bool))
+            if kind == "mm":
+                changed.position_mm[far] *= factor
+            else:
+                changed.joints[np.ix_(far, turns)] *= factor
+            right = far & (_position_misses(changed, drawing) <= bound)
+            right &= np.all(np.abs(changed.joints[:, turns]) < _MOST_RAD, axis=1)
+            if np.any(right) and np.sum(right) >= 0.5 * np.sum(far):
+                rows = np.flatnonzero(right)
+                raise IksamplesError(
+                    f"{recording.table.path}: {len(rows)} of {len(recording)} records fit the "
+                    f"others only with {'positions' if kind == 'mm' else 'angles'} times "
+                    f"{factor:.4g}: units are mixed ({_words(factor)}) in "
+                    f"{_rows(recording, rows)}. Correct them, or take them out."
+                )
+
+
+def _implausible(recording: Recording) -> Iterator[str]:
+    """What units cannot be as they are said; without a drawing nothing else can tell.
+
+    Raises:
+        IksamplesError: A joint turns farther than any does, or records are of two sizes.
+    """
+    path, turns = recording.table.path, np.array([unit == "rad" for unit in recording.joint_units])
+    angles, where = recording.joints[:, turns], _positions(recording)
+    most = np.max(np.abs(angles), axis=0, initial=0)
+    if np.any(most > _MOST_RAD):
+        name = np.array(recording.joint_names)[turns][int(np.argmax(most))]
+        raise IksamplesError(
+            f"{path}: {name} turns by {most.max():.4g} rad as its column is said to be, more than "
+            "joints do. Is it in degrees?"
+        )
+    for what, sizes in (("positions", where), ("angles", angles)):
+        norms = np.linalg.norm(sizes, axis=1)
+        order = np.argsort(norms)
+        ratio = norms[order][1:] / np.maximum(norms[order][:-1], 1e-12)
+        ratio[: _GROUP - 1] = ratio[len(ratio) - _GROUP + 1 :] = 0
+        at = int(np.argmax(ratio))
+        if ratio[at] > _APART:
+            small = order[: at + 1]
+            raise IksamplesError(
+                f"{path}: the {what} are of two sizes, {ratio[at]:.3g} times apart; are units "
+                f"mixed? The small ones: {_rows(recording, small)}."
+            )
+    lever_mm = np.ptp(where, axis=0).max() / max(float(np.ptp(angles, axis=0).max()), 1e-12)
+    reach_mm = float(np.linalg.norm(where, axis=1).max())
+    if (angles.size and not 0.05 < lever_mm / reach_mm < 20) or reach_mm < _SHORTEST_MM:
+        yield (
+            f"the tool moves by {lever_mm:.3g} mm per radian and comes {reach_mm:.3g} mm from the "
+            "base: if that is no arm like yours, a unit is not what its column says."
+        )
+
+
+def _words(factor: float) -> str:
+    return _WORDS.get(factor) or _WORDS.get(1 / factor, "two units in one column")
+
+
+def _doubts(
+    recording: Recording, drawing: SerialChain | None, missed: Floats, far: Flags
+) -> Iterator[str]:
+    n = len(recording)
+    if far.any():
+        rows = np.flatnonzero(far)
+        rows = rows[np.argsort(-missed[rows], kind="stable")]
+        by = "the drawing puts it" if drawing is not None else "records of like joints have it"
+        yield (
+            f"{len(rows)} of {n} records have the tool much farther from where {by} than the rest "
+            f"(median {np.median(missed):.3g} mm), {missed[rows[0]]:.3g} mm at most; kept, the "
+            f"farthest first: {_rows(recording, rows)}."
+        )
+    turns = np.array([unit == "rad" for unit in recording.joint_units])
+    turn = recording.joints[:, turns]
+    apart = np.linalg.norm(_off_neighbours(recording.x, turn, _FLOOR_RAD), axis=1)
+    other = _odd(apart, _FLOOR_RAD) & ~far
+    if other.any():
+        yield (
+            f"{np.sum(other)} of {n} records have joints far from those of records near by: "
+            "another branch of the inverse kinematics, or full turns; a network that learns both "
+            f"answers with something between ({_rows(recording, np.flatnonzero(other))})."
+        )
+    if drawing is not None:
+        outside = ~drawing.within_limits(recording.joints)
+        if outside.any():
+            yield (
+                f"{np.sum(outside)} of {n} records are outside the joint limits "
+                f"({_rows(recording, np.flatnonzero(outside))})."
+            )
+
+
+def _rows(recording: Recording, which: NDArray[np.intp]) -> str:
+    some = ", ".join(recording.table.place(int(row)) for row in which[:_NAMED_ROWS])
+    return some + (f" and {len(which) - _NAMED_ROWS} more" if len(which) > _NAMED_ROWS else "")

@@ -1,0 +1,312 @@
+"""Methods on beginnings of random orders of records, judged by the records held out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.target import Target
+from iksamples.calibration.fit import fit_samples
+from iksamples.errors import IksamplesError
+from iksamples.methods.predictor import NotApplicableError
+from iksamples.methods.registry import KINDS
+from iksamples.recorded.read import Recording
+from iksamples.region import Region
+from iksamples.samples.dataset import SampleSet
+from iksamples.samples.record import normalisation
+from iksamples.study import RECORDED, Study
+from iksamples.task import Space, Task
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = ("method", "n_samples", "seed", "record", "error_mm", "angle_deg", "joint_deg")
+"""Columns of what is judged: ``judged`` says what they hold."""
+_STREAM = 50
+"""Stream of an order's generator, beside its number."""
+_KNOWS_ARM = ("nominal", "calibrated", "residual")
+_NEAR = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Random orders of records, and which of them judge.
+
+    Attributes:
+        learned: Records to learn from, in their order, shape (orders, n - held).
+        held: Records that judge, shape (orders, held).
+    """
+
+    learned: Any
+    held: Any
+
+
+def n_held(study: Study, n: int) -> int:
+    """How many of n records judge."""
+    settings = study.samples.recorded
+    assert settings is not None
+    return max(2, round(settings.held_out_share * n))
+
+
+def orders(study: Study, n: int) -> Orders:
+    """The study's orders of n records.
+
+    Raises:
+        IksamplesError: There are fewer records than the study's sizes ask for.
+    """
+    settings = study.samples.recorded
+    assert settings is not None
+    held = n_held(study, n)
+    if study.sizes[-1] > n - held:
+        raise IksamplesError(
+            f"{settings.path}: {n} records, of which {held} judge, leave {n - held} to learn from; "
+            f"samples.sizes asks for {study.sizes[-1]}. Record more, or leave that size out."
+        )
+    drawn = np.stack(
+        [np.random.default_rng([seed, _STREAM]).permutation(n) for seed in range(settings.subsets)]
+    )
+    return Orders(drawn[:, held:], drawn[:, :held])
+
+
+def whole_set(study: Study, recording: Recording) -> SampleSet:
+    """All records as a set of samples, over the box that they span."""
+    x, inputs = recording.x, recording.inputs
+    units = Target(inputs, "free" if recording.rotation is None else "fixed").units
+    low, high = x.min(axis=0), x.max(axis=0)
+    joints = recording.joints
+    none_x, none_joints = np.empty((0, len(inputs))), np.empty((0, joints.shape[1]))
+    return SampleSet(
+        RECORDED,
+        RECORDED,
+        Space(inputs, units, low, high),
+        Space(recording.joint_names, recording.joint_units, joints.min(axis=0), joints.max(axis=0)),
+        Region.box(low, high),
+        x,
+        joints,
+        none_x,
+        none_joints,
+        none_x,
+        none_joints,
+        *normalisation(study.samples.normalisation, x),
+        np.nan,
+        np.nan,
+        0,
+    )
+
+
+def beginning(whole: SampleSet, rows: Any) -> SampleSet:
+    """Some records of a set."""
+    return replace(whole, x=whole.x[rows], joints=whole.joints[rows])
+
+
+def judged(
+    study: Study, recording: Recording, task: Task | None
+) -> "tuple[pd.DataFrame, dict[str, str]]":
+    """Every method on beginnings of every order, judged by the records that the order holds out.
+
+    What is judged is how far the tool would be from where it was measured. Of a model of the arm
+    that is the distance from where it puts the tool for the recorded joints. Of joints that are
+    answered it is how far the tool goes from them to those recorded: by the drawing, or else to
+    first order, by a plane fitted to the records nearest to it.
+
+    Args:
+        study: The study, with ``samples.recorded``.
+        recording: The records.
+        task: Its task; None: no drawing is known.
+
+    Returns:
+        A row per method, size, order and record held out: ``COLUMNS``, where ``seed`` is the
+        order, ``record`` the record's index, and an angle or joint error that is not known is NaN
+        (``joint_deg``: the joint that is off farthest [deg]); and why a method has none.
+
+    Raises:
+        IksamplesError: There are too few records.
+    """
+    import pandas as pd
+
+    some, whole = orders(study, len(recording)), whole_set(study, recording)
+    frames, left_out = [], {}
+    for name, method in study.all_methods.items():
+        if task is None and method.kind in _KNOWS_ARM:
+            left_out[name] = "it needs a drawing of the arm (--robot)."
+            continue
+        try:
+            if method.kind == "network":
+                parts = _networks(study, name, recording, whole, some, task)
+            elif method.kind in ("nominal", "calibrated"):
+                assert task is not None
+                parts = _models(study, method.kind, recording, whole, some, task)
+            else:
+                parts = _fitted(study, method.kind, recording, whole, some, task)
+            frames += [part.assign(method=name) for part in parts]
+        except NotApplicableError as error:
+            left_out[name] = str(error)
+    if not frames:
+        raise IksamplesError(f"{recording.table.path}: no method can use these records.")
+    return pd.concat(frames, ignore_index=True)[list(COLUMNS)], left_out
+
+
+def _models(
+    study: Study,
+    kind: str,
+    recording: Recording,
+    whole: SampleSet,
+    some: Orders,
+    task: Task,
+) -> "Iterator[pd.DataFrame]":
+    """Models of the arm: the drawing, or what is fitted to it."""
+    if kind == "nominal":
+        rows = np.arange(len(recording))
+        yield _frame(0, 0, rows, *_off(task.drawing, recording, rows))
+        return
+    for n in study.sizes:
+        for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
+            model = fit_samples(task, beginning(whole, learned[:n])).chain
+            yield _frame(n, seed, held, *_off(model, recording, held))
+
+
+def _off(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floats, Floats]:
+    """How far a model puts the tool from where it was measured [mm], and how it turns it [deg]."""
+    position, rotation = model.pose(recording.joints[rows])
+    seen = recording.positions
+    off = np.linalg.norm((position - recording.position_mm[rows])[:, seen], axis=1)
+    if recording.rotation is None:
+        return off, np.full(len(off), np.nan)
+    return off, _angle_deg(rotation, recording.rotation[rows])
+
+
+def _angle_deg(first: Floats, second: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    between = np.swapaxes(first, -1, -2) @ second
+    return np.degrees(np.asarray(Rotation.from_matrix(between).magnitude()))
+
+
+def _fitted(
+    study: Study,
+    kind: str,
+    recording: Recording,
+    whole: SampleSet,
+    some: Orders,
+    task: Task | None,
+) -> "Iterator[pd.DataFrame]":
+    """Methods that learn joints without being trained."""
+    fit = KINDS[kind].fit
+    assert fit is not None
+    if kind == "residual":
+        _require_drawn(recording, task)
+    for n in study.sizes:
+        for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
+            part = beginning(whole, learned[:n])
+            answers = fit(task, part).predict(whole.x[held])[0]  # type: ignore[arg-type]
+            yield _of_joints(n, seed, held, answers, recording, task)
+
+
+def _require_drawn(recording: Recording, task: Task | None) -> None:
+    assert task is not None
+    if recording.joints.shape[1] > len(recording.inputs):
+        raise NotApplicableError(
+            f"residual: {recording.joints.shape[1]} joints and {len(recording.inputs)} measured "
+            "coordinates leave the drawing's joints open; use calibrated."
+        )
+    if not np.isfinite(task.reach(recording.x).joints).all():
+        raise NotApplicableError(
+            "residual: the drawing cannot reach where the tool was measured to be; use calibrated."
+        )
+
+
+def _networks(
+    study: Study,
+    name: str,
+    recording: Recording,
+    whole: SampleSet,
+    some: Orders,
+    task: Task | None,
+) -> "Iterator[pd.DataFrame]":
+    """A network per order, all orders of a size at once."""
+    from iksamples.training.files import final_network
+    from iksamples.training.module import fit, make_engine
+    from iksamples.training.problem import pose_problem
+    from iksamples.training.run import choose_engine
+
+    seeds = range(len(some.learned))
+    asked = study.model_copy(
+        update={"task": study.task.model_copy(update={"inputs": list(recording.inputs)})}
+    )
+    for n in study.sizes:
+        own = asked.for_method(name, n)
+        problem = pose_problem(own, whole, seeds)
+        nothing = np.empty((len(seeds), 0), np.int32)
+        rows = some.learned[:, :n].astype(np.int32)
+        problem = replace(problem, train_rows=rows, validation_rows=nothing, test_rows=nothing)
+        engine = make_engine(choose_engine(own, len(recording.joint_names)), problem)
+        network = final_network(problem, whole, fit(problem, engine))
+        answers = network.predict(whole.x)
+        for seed in seeds:
+            held = some.held[seed]
+            yield _of_joints(n, seed, held, answers[seed][held], recording, task)
+
+
+def _of_joints(
+    n: int, seed: int, held: Any, answers: Floats, recording: Recording, task: Task | None
+) -> "pd.DataFrame":
+    """Answered joints, held against those recorded."""
+    q = recording.joints[held]
+    turns = np.array([unit == "rad" for unit in recording.joint_units])
+    joint_deg = np.degrees(np.max(np.abs(answers - q)[:, turns], axis=1, initial=0))
+    angle = np.full(len(q), np.nan)
+    if task is None:
+        off = np.linalg.norm(_first_order(recording, held, answers - q), axis=1)
+    else:
+        seen = recording.positions
+        (there, turned), (here, own) = task.drawing.pose(answers), task.drawing.pose(q)
+        off = np.linalg.norm((there - here)[:, seen], axis=1)
+        if recording.rotation is not None:
+            sound = np.flatnonzero(np.isfinite(off))
+            angle = np.full(len(q), np.inf)
+            angle[sound] = _angle_deg(turned[sound], own[sound])
+    off = np.where(np.isfinite(off), off, np.inf)
+    return _frame(n, seed, held, off, angle, joint_deg)
+
+
+def _first_order(recording: Recording, rows: Any, moved: Floats) -> Floats:
+    """How far the tool moves with some joints [mm]: planes fitted to the records nearest to each.
+
+    Args:
+        recording: The records.
+        rows: Which records, by index.
+        moved: How far their joints move [rad or mm], shape (rows, joints).
+    """
+    from scipy.spatial import KDTree
+
+    q = recording.joints
+    where = recording.position_mm[:, recording.positions]
+    extent = np.ptp(q, axis=0)
+    scaled = q / np.where(extent > 0, extent, 1)
+    k = min(len(q), _NEAR * (q.shape[1] + 1))
+    _, near = KDTree(scaled).query(scaled[rows], k=k)
+    found = np.empty((len(moved), where.shape[1]))
+    for i, (row, own) in enumerate(zip(rows, near, strict=True)):
+        slope, *_ = np.linalg.lstsq(q[own] - q[row], where[own] - where[row], rcond=1e-6)
+        found[i] = moved[i] @ slope
+    return found
+
+
+def _frame(
+    n: int, seed: int, rows: Any, error_mm: Floats, angle_deg: Floats, joint_deg: Any = np.nan
+) -> "pd.DataFrame":
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "n_samples": n,
+            "seed": seed,
+            "record": rows,
+            "error_mm": error_mm,
+            "angle_deg": angle_deg,
+            "joint_deg": joint_deg,
+        }
+    )

@@ -1,0 +1,161 @@
+"""A learning curve from records: which study is made of them, and what they say."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+from iksamples.answer.collect import WORKSPACE
+from iksamples.arm.chain import Floats, angles_of
+from iksamples.recorded.curve import runs_table
+from iksamples.recorded.doubts import checked
+from iksamples.recorded.judge import judged, n_held
+from iksamples.recorded.read import Recording, read_recording
+from iksamples.region import Region
+from iksamples.study import Study, Workspace, parse_study
+from iksamples.task import Task, study_chain, study_task
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_MOST_SIZES = 6
+_USUAL: dict[str, Any] = {
+    "network": {"hidden": [16], "activation": "tanh"},
+    "training": {"optimizer": "levenberg-marquardt", "epochs": 200},
+    "methods": {
+        "gaussian-process": {"kind": "gaussian-process"},
+        "nominal": {"kind": "nominal"},
+        "calibrated": {"kind": "calibrated"},
+        "residual": {"kind": "residual"},
+    },
+}
+"""Methods of a recording that nobody wrote a study for."""
+
+
+class Learned(NamedTuple):
+    """What records say."""
+
+    recording: Recording
+    doubts: list[str]
+    judged: "pd.DataFrame"
+    runs: "pd.DataFrame"
+    left_out: dict[str, str]
+
+
+def sized_study(settings: dict[str, Any], where: str) -> Study:
+    """A study of a recording that says nothing of methods and sizes: the usual ones.
+
+    Args:
+        settings: What it says.
+        where: Where from, for messages.
+
+    Raises:
+        IksamplesError: A setting is wrong, or the recording cannot be read.
+    """
+    study = parse_study(settings | _USUAL, where)
+    recording, _ = read_checked(study, "robot" in settings)
+    n = len(recording) - n_held(study, len(recording))
+    sizes = [-(-n // 2**k) for k in range(_MOST_SIZES) if n >= 4 * 2**k]
+    samples = settings["samples"] | {"sizes": sizes}
+    return parse_study(settings | _USUAL | {"samples": samples}, where)
+
+
+def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
+    """The study's records, and what is odd about them (``doubts.checked``).
+
+    Args:
+        study: The study.
+        drawn: Whether its arm's file is a drawing of theirs.
+
+    Raises:
+        IksamplesError: They cannot be read, or not be used.
+    """
+    settings = study.samples.recorded
+    assert settings is not None
+    drawing = study_chain(study) if drawn else None
+    return checked(read_recording(settings.path, drawing, settings.columns), drawing)
+
+
+def learning_curve(study: Study, drawn: bool = True) -> Learned:
+    """What a recording says: every method on beginnings of its orders, judged by the rest.
+
+    Args:
+        study: The study, with ``samples.recorded``.
+        drawn: Whether its arm's file is a drawing of theirs.
+
+    Raises:
+        IksamplesError: The records cannot be read or used, or are too few.
+    """
+    recording, doubts = read_checked(study, drawn)
+    task = recorded_task(study, recording) if drawn else None
+    rows, left_out = judged(study, recording, task)
+    return Learned(recording, doubts, rows, runs_table(runs_of(rows)), left_out)
+
+
+def recorded_task(study: Study, recording: Recording) -> Task:
+    """The study's task over the box that the records span.
+
+    Where the study names no home posture it is that of the record in the middle.
+    """
+    x, n_positions = recording.x, len(recording.positions)
+    low, high = x.min(axis=0).tolist(), x.max(axis=0).tolist()
+    box = Workspace(
+        lower_mm=tuple(low[:n_positions]),
+        upper_mm=tuple(high[:n_positions]),
+        lower_rad=tuple(low[n_positions:]),
+        upper_rad=tuple(high[n_positions:]),
+        min_singular_value_mm=0,
+    )
+    robot = study.robot
+    if not (robot.home_rad or robot.home_mm):
+        middle = recording.joints[
+            int(np.argmin(np.linalg.norm((x - np.median(x, axis=0)) / np.ptp(x, axis=0), axis=1)))
+        ]
+        by_unit: dict[str, dict[str, float]] = {"rad": {}, "mm": {}}
+        for name, unit, value in zip(
+            recording.joint_names, recording.joint_units, middle, strict=True
+        ):
+            by_unit[unit][name] = float(value)
+        robot = robot.model_copy(update={"home_rad": by_unit["rad"], "home_mm": by_unit["mm"]})
+    asked = study.task.model_copy(
+        update={
+            "inputs": list(recording.inputs),
+            "orientation": "free" if recording.rotation is None else "fixed",
+            "reference_rpy_rad": tuple(angles_of(recording.reference).tolist()),
+        }
+    )
+    task = study_task(
+        study.model_copy(update={"robot": robot, "workspace": box, "task": asked}),
+        Region.box(np.array(low), np.array(high)),
+    )
+    assert study.samples.recorded is not None
+    return replace(task, expected=study.samples.recorded.assumed.expectation)
+
+
+def runs_of(rows: "pd.DataFrame") -> list[dict[str, Any]]:
+    """What was judged as records for ``curve.runs_table``: a row per method, size and order."""
+    found = []
+    for key, own in rows.groupby(["method", "n_samples", "seed"], sort=False):
+        method, n, seed = cast(tuple[str, int, int], key)
+        error, angle = own["error_mm"].to_numpy(float), own["angle_deg"].to_numpy(float)
+        one = {"method": method, "n_samples": int(n), "seed": int(seed), "n_points": len(own)}
+        one |= dict(zip(_NAMES["error"], _statistics(error), strict=True))
+        if np.isfinite(angle).any():
+            one |= dict(zip(_NAMES["angle"], _statistics(angle), strict=True))
+        one |= {"diverged": not np.isfinite(error).all(), "region": WORKSPACE}
+        found.append(one)
+    return found
+
+
+_NAMES = {
+    "error": ("error_mean_mm", "error_p95_mm", "error_p99_mm", "error_max_mm"),
+    "angle": ("angle_mean_deg", "angle_p95_deg", "angle_p99_deg", "angle_max_deg"),
+}
+
+
+def _statistics(values: Floats) -> Sequence[float]:
+    if not np.isfinite(values).all():
+        return [np.inf] * 4
+    return [float(values.mean()), *np.quantile(values, [0.95, 0.99]).tolist(), float(values.max())]

@@ -1,0 +1,286 @@
+"""Records of an arm: learned from and judged without a leak, and every odd row named."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from recordings import NAMES, recorded
+from typer.testing import CliRunner
+
+from iksamples.cli import app
+from iksamples.errors import IksamplesError
+from iksamples.recorded.doubts import checked
+from iksamples.recorded.judge import judged, n_held, orders
+from iksamples.recorded.learn import recorded_task
+from iksamples.recorded.read import read_recording
+from iksamples.study import parse_study
+
+
+URDF = "config/robots/rrr70.urdf"
+DEG = 180 / np.pi
+
+
+def study_of(path, kinds, **recording):
+    return parse_study(
+        {
+            "name": "s",
+            "samples": {"recorded": {"path": str(path), **recording}, "sizes": [8, 24]},
+            "network": {"hidden": [8], "activation": "tanh"},
+            "training": {"optimizer": "levenberg-marquardt", "epochs": 60},
+            "methods": {kind: {"kind": kind} for kind in kinds},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Judged with and without the drawing."""
+    drawing, arm, table = recorded()
+    path = tmp_path_factory.mktemp("recorded") / "arm.csv"
+    table.to_csv(path, index=False)
+    kinds = ["nominal", "calibrated", "residual", "gaussian-process"]
+    study = study_of(path, kinds, subsets=4)
+    recording = read_recording(path, drawing)
+    with_drawing, none = judged(study, recording, recorded_task(study, recording))
+    without, left = judged(study, recording, None)
+    assert none == {}
+    assert set(left) == {"nominal", "calibrated", "residual"}
+    return study, drawing, arm, table, with_drawing, without
+
+
+def test_no_record_judges_what_has_learned_from_it(found):
+    study, *_ = found
+    some = orders(study, 60)
+    assert some.held.shape == (4, 15)
+    for learned, held in zip(some.learned, some.held, strict=True):
+        assert sorted([*learned, *held]) == list(range(60))
+    assert len({tuple(held) for held in some.held}) == 4
+
+
+def test_the_drawing_is_judged_by_where_it_puts_the_tool(found):
+    _, drawing, _, table, rows, _ = found
+    own = rows[rows["method"] == "nominal"]
+    off = drawing.forward_mm(table[NAMES[3:]].to_numpy()) - table[NAMES[:3]].to_numpy()
+    np.testing.assert_allclose(own["error_mm"], np.linalg.norm(off, axis=1))
+    assert set(own["n_samples"]) == {0}
+
+
+def test_methods_are_judged_as_the_arm_itself_would(found):
+    """The tool of the arm itself, sent to where the fitted drawing's inverse says."""
+    study, drawing, arm, table, rows, without = found
+    from iksamples.calibration.fit import Prior, fit_arm
+
+    x, q = table[NAMES[:3]].to_numpy(), table[NAMES[3:]].to_numpy()
+    learned, held = (part[2] for part in (orders(study, 60).learned, orders(study, 60).held))
+    fitted = fit_arm(drawing, q[learned[:24]], x[learned[:24]], prior=Prior(), noise_mm=0.1)
+    own = rows[(rows["method"] == "calibrated") & (rows["n_samples"] == 24) & (rows["seed"] == 2)]
+    answers = q[held].copy()
+    for _ in range(20):  # the fitted arm's inverse, from the recorded joints
+        jacobian = fitted.chain.jacobian_mm(answers)
+        off = x[held] - fitted.chain.forward_mm(answers)
+        answers += np.linalg.solve(jacobian, off[..., None])[..., 0]
+    true = np.linalg.norm(arm.forward_mm(answers) - arm.forward_mm(q[held]), axis=1)
+    np.testing.assert_allclose(own["error_mm"], true, rtol=0.03, atol=2e-3)
+    # Without a drawing, to first order: planes through noisy neighbours are no better than this.
+    keys = ["method", "n_samples", "seed", "record"]
+    both = without.merge(rows, on=keys, suffixes=("", "_drawn"))
+    large = both[both["n_samples"] == 24]
+    assert set(large["method"]) == {"network", "gaussian-process"}
+    ratio = large["error_mm"] / large["error_mm_drawn"]
+    assert 0.9 < ratio.median() < 1.1
+    np.testing.assert_allclose(large["joint_deg"], large["joint_deg_drawn"])
+
+
+def test_more_records_than_there_are(found):
+    study, *_ = found
+    with pytest.raises(IksamplesError, match=r"leave 22 to learn from; samples.sizes asks for 24"):
+        orders(study, 30)
+    assert n_held(study, 30) == 8
+
+
+FORMS = {
+    "other units": lambda t: (t * [0.1, 0.001, 1, DEG, 1, DEG]).set_axis(
+        ["x [cm]", "y_m", "z_mm", "q1_deg", "q2_rad", "elbow (deg)"], axis=1
+    ),
+    "another order": lambda t: t[NAMES[::-1]],
+    "no units": lambda t: (t * [1e-3, 1e-3, 1e-3, DEG, DEG, DEG]).set_axis(
+        ["x", "y", "z", "q1", "q2", "q3"], axis=1
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_units_and_order(tmp_path, form):
+    drawing, _, table = recorded()
+    FORMS[form](table).to_csv(tmp_path / "arm.csv", index=False)
+    found = read_recording(tmp_path / "arm.csv", drawing)
+    np.testing.assert_allclose(found.position_mm, table[NAMES[:3]], atol=1e-9)
+    np.testing.assert_allclose(found.joints, table[NAMES[3:]], atol=1e-9)
+    assert bool(found.remarks) == (form == "no units")
+
+
+def test_names_that_a_mapping_resolves(tmp_path):
+    drawing, _, table = recorded()
+    other = (table * [1, 1, 1, DEG, DEG, DEG]).set_axis(["tx", "ty", "x", "a", "b", "c"], axis=1)
+    other.to_parquet(tmp_path / "arm.parquet")
+    columns = {"x_mm": "tx", "y_mm": "ty", "z_mm": "x", "q1_deg": "a", "q2_deg": "b", "q3_deg": "c"}
+    for arm in (drawing, None):
+        found = read_recording(tmp_path / "arm.parquet", arm, columns)
+        np.testing.assert_allclose(found.position_mm, table[NAMES[:3]], atol=1e-9)
+        np.testing.assert_allclose(found.joints, table[NAMES[3:]], atol=1e-9)
+    with pytest.raises(IksamplesError, match=r"columns.x_mm: no column 'ty2'"):
+        read_recording(tmp_path / "arm.parquet", drawing, {"x_mm": "ty2"})
+
+
+@pytest.mark.parametrize("form", ["angles", "quaternion"])
+def test_orientations(tmp_path, form):
+    from scipy.spatial.transform import Rotation
+
+    drawing, _, table = recorded()
+    turned = Rotation.from_matrix(drawing.rotation(table[NAMES[3:]].to_numpy()))
+    if form == "angles":
+        angles = turned.as_euler("xyz", degrees=True)
+        table[["roll_deg", "pitch_deg", "yaw_deg"]] = angles
+        table = table.rename(columns={"q_yaw_rad": "q1_rad"})
+    else:
+        table[["qx", "qy", "qz", "qw"]] = turned.as_quat()
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    found = read_recording(tmp_path / "arm.csv", drawing)
+    np.testing.assert_allclose(found.rotation, turned.as_matrix(), atol=1e-9)
+    assert found.inputs == ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def changed(rows, columns, way):
+    def change(table):
+        table = table.copy()
+        table.loc[rows, columns] = way(table.loc[rows, columns])
+        return table
+
+    return change
+
+
+def one_column(table, name, factor):
+    return table.assign(**{name: table[name] * factor})
+
+
+POSITIONS, ANGLES = NAMES[:3], NAMES[3:]
+FAULTS = {
+    "NaN": (
+        changed([4], ["x_mm"], lambda v: v * np.nan),
+        "row 5 (line 6) has nothing as x_mm",
+        "row 5 (line 6) has nothing as x_mm",
+    ),
+    "rows in m": (
+        changed([4, 9], POSITIONS, lambda v: v / 1000),
+        "2 of 60 records fit the others only with positions times 1000: units are mixed "
+        "(m among mm) in row 5 (line 6), row 10 (line 11)",
+        "2 of 60 records fit the others only with positions times 1000",
+    ),
+    "rows in degrees": (
+        changed([4, 9], ANGLES, lambda v: v * DEG),
+        "2 of 60 records fit the others only with angles times 0.01745: units are mixed "
+        "(rad among deg) in row 5 (line 6), row 10 (line 11)",
+        "rad as its column is said to be, more than joints do. Is it in degrees?",
+    ),
+    "half of the rows in m": (
+        changed(range(30), POSITIONS, lambda v: v / 1000),
+        "the joint values do not reach|but by the arm's model it is in m|fit the others only with",
+        "the positions are of two sizes",
+    ),
+    "a column in cm": (
+        lambda t: one_column(t, "y_mm", 0.1),
+        "y_mm is said to be in mm, but by the arm's model it is in cm",
+        None,
+    ),
+    "all in degrees": (
+        lambda t: t * [1, 1, 1, DEG, DEG, DEG],
+        "In mm and deg they would: say so in the names, such as x_mm and q_yaw_deg",
+        "turns by",
+    ),
+    "no unit": (
+        lambda t: t.rename(columns={"x_mm": "x"}),
+        None,
+        "no unit is said for x, and without a drawing",
+    ),
+    "an outlier": (
+        changed([7], ["z_mm"], lambda v: v + 60),
+        "1 of 60 records have the tool much farther from where the drawing puts it than the rest",
+        "1 of 60 records have the tool much farther from where records of like joints have it",
+    ),
+    "a repeat": (
+        lambda t: pd.concat([t, t.iloc[[3]]]),
+        "1 of 61 records stand there twice, the same in every number, and are left out (row 61 "
+        "(line 62))",
+        "1 of 61 records stand there twice",
+    ),
+    "too few": (lambda t: t.head(5), "5 records; at least 8 are needed", "5 records; at least 8"),
+    "a full turn": (
+        changed([11], ["q_yaw_rad"], lambda v: v + 2 * np.pi),
+        "1 of 60 records have joints far from those of records near by",
+        "1 of 60 records",
+    ),
+    "outside the limits": (
+        changed([11], ["q_yaw_rad"], lambda v: v + 2 * np.pi),
+        "1 of 60 records are outside the joint limits (row 12 (line 13))",
+        None,
+    ),
+    "one height": (lambda t: t.assign(z_mm=5.0), "z is the same in every record|not reach", "z is"),
+    "no joints": (
+        lambda t: t[POSITIONS],
+        "no column q_yaw_rad, q_shoulder_rad, q_elbow_rad",
+        "no column is named like a joint",
+    ),
+}
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_named_by_row(tmp_path, fault, drawn):
+    drawing, _, table = recorded()
+    change, *messages = FAULTS[fault]
+    message = messages[not drawn]
+    change(table).to_csv(tmp_path / "arm.csv", index=False)
+    known = drawing if drawn else None
+    try:
+        _, lines = checked(read_recording(tmp_path / "arm.csv", known), known)
+        said = "\n".join(lines)
+    except IksamplesError as error:
+        said = str(error)
+    if message is not None:
+        assert any(one in said for one in message.split("|")), said
+
+
+def test_another_branch_is_named(tmp_path):
+    drawing, arm, table = recorded()
+    task_branch = table.copy()
+    q = task_branch.loc[[5], ANGLES].to_numpy()
+    from iksamples.arm.closed_form import yaw_pitch_pitch
+
+    for elbow in ("negative", "positive"):
+        other = yaw_pitch_pitch(drawing, drawing.forward_mm(q), elbow, None)
+        if np.abs(other - q).max() > 0.5:
+            table.loc[[5], ANGLES] = other
+            table.loc[[5], POSITIONS] = arm.forward_mm(other)
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    _, lines = checked(read_recording(tmp_path / "arm.csv", drawing), drawing)
+    assert any("another branch" in line and "row 6 (line 7)" in line for line in lines)
+
+
+def test_clean_records_raise_no_doubt(tmp_path):
+    drawing, _, table = recorded()
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    for known in (drawing, None):
+        recording, lines = checked(read_recording(tmp_path / "arm.csv", known), known)
+        assert (len(recording), lines) == (60, [])
+
+
+def test_the_command(tmp_path):
+    _, _, table = recorded()
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    options = ["--robot", URDF, "--tolerance-mm", "1", "--subsets", "20", "--of", "mean"]
+    said = CliRunner().invoke(app, ["size", str(tmp_path / "arm.csv"), *options])
+    assert said.exit_code == 0, said.output
+    part = said.output.split("\ncalibrated")[1].split("\nresidual")[0]
+    assert "6 samples will do; fewer were not tried" in part
+    assert "it fails, and no samples change that" in said.output
+    nothing = CliRunner().invoke(app, ["size"])
+    assert "name your records" in str(nothing.exception)
