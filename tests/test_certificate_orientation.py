@@ -7,6 +7,7 @@ import pytest
 from certificate_cases import (
     certify_sup,
     check,
+    linear_network,
     make_chain,
     plain_answer,
     plain_rotation,
@@ -38,6 +39,24 @@ ASKED = [
     ("x", "y", "z", "roll", "pitch"),
     ("x", "y", "z", "roll", "pitch", "yaw"),
 ]
+
+
+def test_an_orientation_that_is_kept_is_no_endless_search(rng):
+    """Two turns undo one another, whose axes are not parallel in the arm's zero posture."""
+    chain = make_chain("RRR", [(0, 0, 1), (0, 1, 0), (0, 0, 1)], np.zeros((3, 3)), (50, 0, 0))
+    network = linear_network([[0.01, 0, 0.01], [0.005, 0, 0.005]], [0, np.pi, 0])
+    region = Region.box([-60, -60], [60, 60])
+    down = Rotation.from_euler("y", np.pi).as_matrix()
+    asked = {"target": Target(("x", "y"), "fixed", down), "measure": "angle"}
+    atol = 1e-4
+    [found] = certify_stack(network, chain, region, atol=atol, keep_leaves=True, **asked)
+    assert found.complete
+    assert found.boxes < 5000
+    assert found.upper <= found.lower + atol
+    assert check(found, network, 0, chain, region, **asked).verified
+    points = points_in(rng, [-60, -60], [60, 60], 500)
+    joints = plain_answer(network, 0, points)
+    assert turned_away(chain, asked["target"], joints, points).max() <= found.upper
 
 
 @settings(max_examples=30, deadline=None)

@@ -81,6 +81,7 @@ def certify_stack(
     region: Region,
     *,
     rtol: float = 1e-3,
+    atol: float = 0.0,
     seeds: ArrayLike | None = None,
     max_boxes: int = 1_000_000,
     time_limit_s: float = 60.0,
@@ -99,7 +100,8 @@ def certify_stack(
         network: Stacked networks, or a look-up table.
         chain: The arm.
         region: The inputs that it is about.
-        rtol: The search ends once upper <= (1 + rtol) lower, or both are nearer than rounding.
+        rtol: The search ends once upper <= (1 + rtol) lower,
+        atol: or upper <= lower + atol [mm or rad], or both are nearer than rounding.
         seeds: Points of the region worth trying, such as the training points, shape (n, in).
         max_boxes: Boxes to bound per network, at most.
         time_limit_s: Time to spend per network, at most [s].
@@ -115,7 +117,7 @@ def certify_stack(
     objective = ErrorOverBoxes(network, chain, region, target, measure)
     n, region, slack = objective.n_networks, objective.region, objective.slack
     # A table that keeps the orientation exactly has an error of 0, which no share comes near.
-    near = np.maximum(3.0 * slack, _FINE)
+    near = np.maximum(3.0 * slack, max(atol, _FINE))
     best, argmax = _first_values(objective, seeds)
     part, low, edge = _first_boxes(region)
     which = np.repeat(np.arange(n), len(low))
@@ -164,7 +166,7 @@ def certify_stack(
     seconds = (time.perf_counter() - began) / n
     threshold = np.maximum((1.0 + rtol) * best, best + near)
     # Bounds that meet within more rounding than this have not met.
-    fine = np.maximum(rtol * best, _FINE)
+    fine = np.maximum(rtol * best, max(atol, _FINE))
     leaves = _gather(kept, n) if keep_leaves else [None] * n
     return [
         Certificate(

@@ -156,6 +156,7 @@ def _proved(
         chain,
         samples.region,
         rtol=study.bounds.sup_rtol,
+        atol=np.radians(study.bounds.sup_atol_deg) if measure == "angle" else 0.0,
         seeds=samples.x,
         keep_leaves=True,
         target=task.target,

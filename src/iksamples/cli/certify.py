@@ -152,7 +152,12 @@ def certify(
             metavar="NUMBERS", help="Tool centre point in that link's frame [mm]; default 0 0 0."
         ),
     ] = None,
-    rtol: Annotated[float, typer.Option(min=1e-6, max=1, help="Gap of the bounds.")] = 1e-3,
+    rtol: Annotated[
+        float, typer.Option(min=1e-6, max=1, help="Gap of the bounds, as a share.")
+    ] = 1e-3,
+    atol_deg: Annotated[
+        float, typer.Option(min=0, max=180, help="Gap of an angle's bounds that may stay [deg].")
+    ] = 0.01,
     time_limit: Annotated[
         float,
         typer.Option(
@@ -207,7 +212,14 @@ def certify(
     most = f"the search takes at most {time_limit * searches:g} s, its check comes on top"
     with _shown(f"proving; {most}"):
         proved = prove(
-            reading, chain, region, target, rtol=rtol, time_limit_s=time_limit, max_boxes=max_boxes
+            reading,
+            chain,
+            region,
+            target,
+            rtol=rtol,
+            atol_deg=atol_deg,
+            time_limit_s=time_limit,
+            max_boxes=max_boxes,
         )
     for row, seed in enumerate(network.seeds):
         for found in proved.values():

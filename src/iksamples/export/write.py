@@ -171,8 +171,14 @@ def export(
             fed=fed_as(task.x.units, (input_unit,), None, None),
             read=read,
         )
+    asked = choice.study.bounds
     found = prove(
-        reading, task.drawing, task.region, task.target, rtol=choice.study.bounds.sup_rtol
+        reading,
+        task.drawing,
+        task.region,
+        task.target,
+        rtol=asked.sup_rtol,
+        atol_deg=asked.sup_atol_deg,
     )
     proved = {f"{measure}_error": one for measure, [one] in found.items()}
     if any(one.upper == math.inf for one in proved.values()):

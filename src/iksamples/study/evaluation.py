@@ -51,6 +51,13 @@ class Bounds(Section):
         le=1,
         description="Certified worst case: largest gap between its bounds, as a share.",
     )
+    sup_atol_deg: float = Field(
+        0.01,
+        ge=0,
+        le=180,
+        description="Certified worst case of the tool's angle: bounds closer than this are not "
+        "asked for [deg]. Where a network keeps an orientation, no share of 0 comes near.",
+    )
     mean_rtol: float = Field(
         0.025,
         ge=5e-3,

@@ -246,6 +246,7 @@ def prove(
     target: Target,
     *,
     rtol: float = 1e-3,
+    atol_deg: float = 0.0,
     time_limit_s: float = 60.0,
     max_boxes: int = 1_000_000,
 ) -> dict[Measure, list[Proved]]:
@@ -256,7 +257,8 @@ def prove(
         chain: The arm.
         region: The inputs.
         target: What is asked of the tool.
-        rtol: How closely the bounds are to meet.
+        rtol: How closely the bounds are to meet, as a share;
+        atol_deg: those of the angle, besides [deg].
         time_limit_s: Time for each search, per network [s].
         max_boxes: Boxes that each search bounds at most, per network.
 
@@ -267,11 +269,12 @@ def prove(
         IksamplesError: Network, arm, region and target do not fit together.
     """
     limits = {"rtol": rtol, "time_limit_s": time_limit_s, "max_boxes": max_boxes}
-    measures: list[Measure] = ["position"]
+    atol: dict[Measure, float] = {"position": 0.0}
     if target.orientation != "free":
-        measures.append("angle")
+        atol["angle"] = np.radians(atol_deg)
     return {
-        measure: _proved(reading, chain, region, target, measure, limits) for measure in measures
+        measure: _proved(reading, chain, region, target, measure, limits | {"atol": near})
+        for measure, near in atol.items()
     }
 
 
