@@ -299,6 +299,15 @@ def test_inputs_declared_in_any_way(rng, tmp_path, shape):
     )
 
 
+@pytest.mark.parametrize("shape", [(500, 3), (2, 3), (1, 4), (3, 1000), (100_000,)])
+def test_a_graph_for_another_number_of_values_is_refused_at_once(rng, tmp_path, shape):
+    steps = [("Sub", "_", "one"), ("Div", "_", "half"), *DENSE, ("Relu",), *END]
+    constants = numbers(rng) | {"half": np.array(0.7)}
+    save(model(chain(*steps), constants, shape=shape), tmp_path / "net.onnx")
+    with pytest.raises(IksamplesError, match="3 coordinates"):
+        load_network(tmp_path / "net.onnx", (3, 3))
+
+
 def test_weights_from_constants_transposes_casts_and_outside(rng, tmp_path):
     constants, make = numbers(rng, np.float32), helper.make_node
     half = constants["w1t"].astype(np.float16)

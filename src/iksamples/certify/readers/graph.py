@@ -100,6 +100,20 @@ class _Walk:
         [source], [self.output] = sources, graph.output
         shape = shape_for_one(source.type.tensor_type, source.name, n_inputs)
         self.n_inputs = int(np.prod(shape, dtype=int))
+        # Before anything is computed: exact arithmetic on hundreds of rows would not end.
+        if self.n_inputs != n_inputs:
+            batch = (
+                ""
+                if np.prod(shape[1:]) != n_inputs
+                else (
+                    "; export it for one input, or with their number left open (dynamic_axes or "
+                    "dynamic_shapes in PyTorch)"
+                )
+            )
+            raise IksamplesError(
+                f"takes {' x '.join(map(str, shape))} values at once; the box has {n_inputs} "
+                f"coordinates{batch}"
+            )
         self.values[source.name] = self._fresh(shape)
 
     def _fresh(self, shape: tuple[int, ...]) -> Value:
