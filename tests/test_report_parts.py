@@ -171,6 +171,13 @@ def test_strokes_are_lifted_where_the_table_says() -> None:
     assert np.isnan(strokes.lifted(strokes.target)[2]).all()
 
 
+def test_an_axis_ends_where_only_rounding_is_left() -> None:
+    table = pd.DataFrame({"n": [8, 27] * 2, "e": [1e-13, 2e-13, 3.0, 0.1], "line": list("aabb")})
+    [axis] = lines(table, "n", "e", figures.colours(["a", "b"]), "n", "e").figure.axes
+    low, high = axis.get_ylim()
+    assert 1e-7 < low < 0.1 < 3 < high
+
+
 def test_a_planar_workspace_has_one_map_and_one_plan() -> None:
     side = np.linspace(0, 1, 9)
     a, b = (one.ravel() for one in np.meshgrid(side, side))

@@ -205,6 +205,8 @@ Look = Mapping[str, Any]
 _COLUMNS = 3
 _BAND = 0.25, 0.75
 _DOTS_APART = 0.06
+_SHOWN = 1e-6
+"""Share of the largest value at which a logarithmic axis ends; what lies below is rounding."""
 
 
 class Drawing(NamedTuple):
@@ -371,7 +373,8 @@ def scale(axes: Sequence[Axes], which: str, values: "pd.Series[float]", linear: 
             getattr(axis, limit)(0, float(values.max()) * 1.05)
         return
     values = values[values > 0]
-    low, high = float(values.min()) / 1.2, float(values.max()) * 1.2
+    high = float(values.max()) * 1.2
+    low = max(float(values.min()) / 1.2, _SHOWN * high)
     given = sorted(values.unique())
     wide = np.log10(high / low) > 2.2
     ticks = decades(low, high, (1,) if wide else (1, 2, 5))

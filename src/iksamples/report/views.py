@@ -194,7 +194,7 @@ def error_map(slices: pd.DataFrame, error: str, tolerance: float | None) -> Figu
         _worst(axis, rows, error, across, up)
         axis.set_title(rows["slice"].iloc[0])
         axis.set_xlabel(_axis_title(across))
-        axis.xaxis.set_major_locator(MaxNLocator(4))
+        axis.xaxis.set_major_locator(MaxNLocator(4, prune="upper" if alike and several else None))
         if alike and across[-3:] == up[-3:]:
             axis.set_aspect("equal")
         else:
