@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from iksamples.training.initial import initial_weights
-from iksamples.training.problem import Problem
+from iksamples.training.problem import Problem, initial_weights
 from iksamples.training.record import stack, unstack
 
 

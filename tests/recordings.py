@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from iksamples.arm.deviation import deviated
+from iksamples.arm.real import deviated
 from iksamples.study import parse_study
 from iksamples.task import study_task
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from iksamples.arm.deviation import deviated, deviated_pose
 from iksamples.arm.load import load_arm
+from iksamples.arm.real import deviated, deviated_pose
 from iksamples.calibration.fit import Prior, fit_arm, fit_sockets
 from iksamples.errors import IksamplesError
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from iksamples.arm.deviation import deviated
 from iksamples.arm.inverse import followed
+from iksamples.arm.real import deviated
 from iksamples.calibration.fit import fit_samples
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import fit

@@ -24,13 +24,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.target import Target
-from iksamples.certify.balls import Ball, norm_above, sum_above
+from iksamples.certify.balls import Ball, norm_above, sum_above, tiles
 from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
 from iksamples.certify.jets import Linkage
 from iksamples.certify.rounding import inference_slack
 from iksamples.certify.search import Leaves
-from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from iksamples.certify.printing import degrees_down, degrees_up, point, rounded_down, rounded_up
+from iksamples.certify.proof import degrees_down, degrees_up, point, rounded_down, rounded_up
 
 
 @given(st.floats(0, allow_infinity=False), st.integers(0, 8))

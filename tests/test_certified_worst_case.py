@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.load import load_arm
 from iksamples.certify import jets
+from iksamples.certify.balls import tiles
 from iksamples.certify.jets import cubic_remainder_mm
 from iksamples.certify.mean import certify_coverage, certify_mean
 from iksamples.certify.search import certify_stack
-from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region

@@ -9,7 +9,7 @@ import pytest
 from iksamples.arm.load import load_arm
 from iksamples.paper import claims
 from iksamples.paper import equations as paper
-from iksamples.paper.evidence import Evidence, GridEvidence
+from iksamples.paper.equations import Evidence, GridEvidence
 from iksamples.stats import Interval
 
 

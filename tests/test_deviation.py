@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from iksamples.arm.deviation import deviated, deviated_pose, rotation_of
 from iksamples.arm.load import load_arm
+from iksamples.arm.real import deviated, deviated_pose, rotation_of
 
 
 def motion(rotation_vector, centre, move=(0.0, 0.0, 0.0)):

@@ -18,7 +18,7 @@ from iksamples.answer.assess import answer
 from iksamples.answer.collect import FILE as RUNS_FILE
 from iksamples.answer.collect import read_runs
 from iksamples.answer.outcomes import outcomes
-from iksamples.certify.printing import rounded_up
+from iksamples.certify.proof import rounded_up
 from iksamples.certify.readers.layers import fed_as, read_as
 from iksamples.certify.readers.network import load_network, prove
 from iksamples.columns import RUNS

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from iksamples.arm.chain import SerialChain
-from iksamples.arm.closed_form import fits_yaw_pitch_pitch, yaw_pitch_pitch
 from iksamples.arm.inverse import jumps, largest_usable_box, solve
+from iksamples.arm.solvers import fits_yaw_pitch_pitch, yaw_pitch_pitch
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
 

@@ -290,6 +290,15 @@ def test_a_home_in_degrees_is_recognised():
         solve(chain, JOBS["ur5e-down"].target, np.zeros((1, 3)), home=[0, -90, 1.5, -1.5, -1.5, 0])
 
 
+def test_limits_in_degrees_are_not_blamed_on_home():
+    job = JOBS["ur5e-down"]
+    chain = job.chain.with_limits({"elbow_joint": (20, 160)})
+    with pytest.raises(
+        IksamplesError, match=r"limits_rad: elbow_joint = 1\.5 .* 0\.3491 to 2\.793"
+    ):
+        solve(chain, job.target, np.zeros((1, 3)), home=[0, -1.5, 1.5, -1.5, -1.5, 0])
+
+
 def test_a_box_that_is_torn_inside_is_refused_and_the_tear_left_out():
     """The UR5e past its base: both points are usable, but not from one to the other."""
     job = JOBS["ur5e-down"]

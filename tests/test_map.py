@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain
-from iksamples.certify.map_step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
+from iksamples.certify.step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.results import Cell, cells

@@ -9,8 +9,8 @@ import pytest
 from iksamples.evaluation.errors import cube_errors
 from iksamples.network import StackedMLP
 from iksamples.paper import equations as paper
-from iksamples.paper.audit import audit, input_jacobian
-from iksamples.paper.table import paper_table
+from iksamples.paper.equations import audit, input_jacobian
+from iksamples.paper.gather import paper_table
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import parse_study
 from iksamples.task import study_task

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from iksamples.errors import IksamplesError
+from iksamples.paper.equations import kept_reading, paper_table, reading_table
 from iksamples.paper.options import QUESTIONS
 from iksamples.paper.readings import (
     DENIABLE,
@@ -23,7 +24,6 @@ from iksamples.paper.readings import (
     path_errors,
     rank,
 )
-from iksamples.paper.table import kept_reading, paper_table, reading_table
 from iksamples.study import Readings, parse_study, read_study
 
 

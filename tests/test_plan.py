@@ -8,7 +8,7 @@ from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
 from iksamples.task import study_task
-from iksamples.training.step import train_study, trained_before
+from iksamples.training.run import train_study, trained_before
 
 
 SETTINGS = {

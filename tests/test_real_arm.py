@@ -7,8 +7,7 @@ import pytest
 from iksamples.arm.load import load_arm
 from iksamples.arm.real import STANDARD_GRAVITY, RealArm
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import send
-from iksamples.evaluation.step import evaluate
+from iksamples.evaluation.errors import evaluate, send
 from iksamples.methods.registry import fit, fit_each
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import grid_samples

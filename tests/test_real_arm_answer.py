@@ -13,8 +13,7 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.floor import OwnInverse, repeatability
 from iksamples.export.write import choose
 from iksamples.results import certified
-from iksamples.samples.arms import on_arms
-from iksamples.samples.record import grid_samples
+from iksamples.samples.record import grid_samples, on_arms
 from iksamples.study import parse_study
 from iksamples.task import study_task
 

@@ -15,12 +15,10 @@ from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
 from iksamples.arm.chain import SerialChain
-from iksamples.certify.map_step import MAX_BOXES, map_cell
-from iksamples.certify.step import certify
+from iksamples.certify.step import MAX_BOXES, certify, map_cell
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import track_paths
+from iksamples.evaluation.errors import MAX_EPOCHS, median_seed, networks_over_epochs, track_paths
 from iksamples.evaluation.paths import waypoints
-from iksamples.evaluation.shown import MAX_EPOCHS, median_seed, networks_over_epochs
 from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.recording.record import record_path

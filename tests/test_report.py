@@ -17,7 +17,7 @@ from report_study import finished, step
 from iksamples.answer.answer import read_answer
 from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.shown import median_seed
+from iksamples.evaluation.errors import median_seed
 from iksamples.files import kept_file
 from iksamples.report import markdown, run
 from iksamples.report.data import ReportData, read_report_data

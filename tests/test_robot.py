@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from iksamples.arm.closed_form import yaw_pitch_pitch
 from iksamples.arm.load import load_arm
+from iksamples.arm.solvers import yaw_pitch_pitch
 from iksamples.errors import IksamplesError
 from iksamples.samples.designs import full_grid
 from iksamples.study import parse_study

@@ -253,7 +253,7 @@ def test_another_branch_is_named(tmp_path):
     drawing, arm, table = recorded()
     task_branch = table.copy()
     q = task_branch.loc[[5], ANGLES].to_numpy()
-    from iksamples.arm.closed_form import yaw_pitch_pitch
+    from iksamples.arm.solvers import yaw_pitch_pitch
 
     for elbow in ("negative", "positive"):
         other = yaw_pitch_pitch(drawing, drawing.forward_mm(q), elbow, None)

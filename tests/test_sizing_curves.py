@@ -17,7 +17,7 @@ from iksamples.answer.extrapolate import (
     shape,
     untrusted,
 )
-from iksamples.paper.table import paper_table
+from iksamples.paper.equations import paper_table
 from iksamples.stats import Interval, draws, share_quantile
 from iksamples.study import parse_study
 

@@ -62,7 +62,7 @@ def write_cell(cell, error, n=SEEDS, diverged=()):
         {
             "seed": np.repeat(seeds, 100),
             "epoch": np.tile(epochs, n),
-            "train_loss_rad2": np.tile(np.full(100, 0.1), n),
+            "train_loss": np.tile(np.full(100, 0.1), n),
         }
     ).to_parquet(cell.folder / "history.parquet")
 
@@ -331,7 +331,7 @@ class TestDiagnosis:
                 {
                     "seed": seeds.ravel(),
                     "epoch": epochs.ravel(),
-                    "train_loss_rad2": loss.ravel(),
+                    "train_loss": loss.ravel(),
                 }
             ).sample(frac=1, random_state=0)
 

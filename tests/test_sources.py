@@ -53,7 +53,7 @@ def test_data_in_a_package_counts(package, data):
 
 def test_evaluation_does_not_depend_on_the_report():
     found = set()
-    sources._collect_with_parents("iksamples.evaluation.step", found)
+    sources._collect_with_parents("iksamples.evaluation.errors", found)
     names = {path.parent.name for path in found}
     assert {"arm", "samples", "methods", "evaluation"} <= names
     assert not names & {"report", "tracking", "recording", "certify", "answer"}
@@ -62,7 +62,7 @@ def test_evaluation_does_not_depend_on_the_report():
 def test_nothing_is_imported_to_read_sources():
     code = (
         "import sys; from iksamples.sources import source_digest as d; before = set(sys.modules);"
-        "d('iksamples.training.step', 'iksamples.report.write', 'iksamples.tracking.track');"
+        "d('iksamples.training.run', 'iksamples.report.write', 'iksamples.tracking.track');"
         "print(*sorted(set(sys.modules) - before))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

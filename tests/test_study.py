@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.paths import waypoints
 from iksamples.study import Study, parse_study, read_study
-from iksamples.study.text import read_settings, typed
+from iksamples.study.reading import read_settings, typed
 from iksamples.task import study_task
 
 

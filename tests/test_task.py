@@ -15,11 +15,10 @@ from iksamples.network import StackedMLP
 from iksamples.samples.record import grid_samples, record_samples, region_points
 from iksamples.study import Study, parse_study, read_study
 from iksamples.task import merged, study_task
-from iksamples.training.files import final_network
 from iksamples.training.module import fit as fit_seeds
 from iksamples.training.module import make_engine
 from iksamples.training.problem import Problem, pose_problem
-from iksamples.training.record import unstack
+from iksamples.training.record import final_network, unstack
 from iksamples.training.run import train
 
 
@@ -53,7 +52,7 @@ def test_everything_is_over_the_usable_part_of_the_workspace(partly, tmp_path):
             assert task.region.contains(x).all()
             assert task.reach(x).usable.all()
     samples = grid_samples(partly, task, 4)
-    train(partly, [samples], [tmp_path])
+    train(partly, samples, tmp_path)
     network = StackedMLP.load(tmp_path / "weights.safetensors")
     measured = cube_errors(partly.evaluation, task, network).groupby("seed")["error_mm"].max()
     proved = certify_networks(partly, task, "network", samples, network).set_index("seed")

@@ -24,11 +24,11 @@ from iksamples.columns import CERTIFICATES
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.network import StackedMLP
-from iksamples.paper.table import paper_table
+from iksamples.paper.equations import paper_table
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Study, Tracking, parse_study
-from iksamples.study.section import without_password
+from iksamples.study.sections import without_password
 from iksamples.task import study_task
 from iksamples.tracking.store import Outcome, connect, owner
 from iksamples.tracking.track import DEFAULT_URI, source_tags, track, tracking_uri
@@ -113,8 +113,8 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             {
                 "seed": np.repeat(SEEDS, EPOCHS),
                 "epoch": np.tile(np.arange(1, EPOCHS + 1), len(SEEDS)),
-                "train_loss_rad2": rng.uniform(size=len(SEEDS) * EPOCHS),
-                "validation_loss_rad2": rng.uniform(size=len(SEEDS) * EPOCHS),
+                "train_loss": rng.uniform(size=len(SEEDS) * EPOCHS),
+                "validation_loss": rng.uniform(size=len(SEEDS) * EPOCHS),
             }
         )
         members = pd.DataFrame(
@@ -123,7 +123,7 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
                 "n_trained": m**3,
                 "epochs_run": EPOCHS,
                 "diverged": False,
-                "test_loss_rad2": rng.uniform(size=len(SEEDS)),
+                "test_loss": rng.uniform(size=len(SEEDS)),
             }
         )
         tables = {
@@ -257,8 +257,8 @@ def test_a_size_holds_its_seeds(
         assert {point.step: point.value for point in curve} == {
             seed: errors.loc[("heart", seed), "error_max_mm"] for seed in SEEDS
         }
-        history = cell.table("history").groupby("epoch")["validation_loss_rad2"].mean()
-        losses = client.get_metric_history(run_id, "loss/validation_loss_rad2")
+        history = cell.table("history").groupby("epoch")["validation_loss"].mean()
+        losses = client.get_metric_history(run_id, "loss/validation_loss")
         steps = [point.step for point in losses]
         assert steps == sorted(set(steps))
         assert (steps[0], steps[-1], len(steps)) == (1, EPOCHS, 100)
@@ -391,16 +391,16 @@ def test_a_diverged_seed_has_no_numbers_that_are_none(
 ) -> None:
     [errors, members, history] = (results[0].table(t) for t in ("errors", "members", "history"))
     errors.loc[errors["seed"] == 5, ["error_mean_mm", "error_p95_mm", "error_max_mm"]] = np.nan
-    members.loc[members["seed"] == 5, ["diverged", "test_loss_rad2"]] = [True, np.nan]
-    history.loc[(history["seed"] == 5) & (history["epoch"] > 9), "train_loss_rad2"] = np.inf
+    members.loc[members["seed"] == 5, ["diverged", "test_loss"]] = [True, np.nan]
+    history.loc[(history["seed"] == 5) & (history["epoch"] > 9), "train_loss"] = np.inf
     for name, table in (("errors", errors), ("members", members), ("history", history)):
         table.to_parquet(results[0].folder / f"{name}.parquet")
     log(small, results)
     runs = current(uri)
     assert all(np.isfinite(value) for run in runs.values() for value in run.data.metrics.values())
     size = runs["network, grid2"]
-    sound = history[history["seed"] != 5].groupby("epoch")["train_loss_rad2"].mean()
-    assert size.data.metrics["loss/train_loss_rad2"] == pytest.approx(sound[EPOCHS])
+    sound = history[history["seed"] != 5].groupby("epoch")["train_loss"].mean()
+    assert size.data.metrics["loss/train_loss"] == pytest.approx(sound[EPOCHS])
     assert size.data.metrics["n_diverged"] == 1
     client = connect(uri)
     text = Path(client.download_artifacts(size.info.run_id, "seeds.csv")).read_text()

@@ -16,14 +16,12 @@ from torch import nn
 from training_problems import make_problem, same
 
 from iksamples.network import ACTIVATIONS, StackedMLP
-from iksamples.training import arguments, fused, kernel, reference
-from iksamples.training.initial import initial_weights
+from iksamples.training import fused, kernel, reference
 from iksamples.training.lanes import load, store, tanh
 from iksamples.training.module import fit as fit_with
 from iksamples.training.module import make_engine
-from iksamples.training.problem import Problem
+from iksamples.training.problem import Problem, initial_weights, permutations
 from iksamples.training.record import Record, stack, unstack
-from iksamples.training.shuffle import permutations
 
 
 @pytest.fixture(params=["reference", "fused"])
@@ -39,9 +37,9 @@ def fit(request):
 SHAPES = [
     {"hidden": (16,), "n": 21, "batch_size": 8, "epochs": 6},
     {"hidden": (16,), "n": 17, "batch_size": 8, "epochs": 6, "activation": "tanh"},
-    {"hidden": (9, 17), "n": 11, "batch_size": 3, "epochs": 5, "activation": "gelu"},
-    {"hidden": (17, 5), "n": 11, "batch_size": 3, "epochs": 5, "activation": "sigmoid"},
-    {"hidden": (10,), "n": 1, "batch_size": 8, "epochs": 9, "activation": "elu"},
+    {"hidden": (9, 17), "n": 11, "batch_size": 3, "epochs": 5, "activation": "tanh"},
+    {"hidden": (17, 5), "n": 11, "batch_size": 3, "epochs": 5},
+    {"hidden": (10,), "n": 1, "batch_size": 8, "epochs": 9, "activation": "tanh"},
     {"hidden": (50, 50), "n": 27, "batch_size": 9, "epochs": 4, "activation": "tanh"},
     {"hidden": (), "n": 8, "batch_size": 8, "epochs": 9},
     {"hidden": (16,), "n": 9, "batch_size": 1, "epochs": 4},
@@ -51,12 +49,7 @@ SHAPES = [
 
 @pytest.mark.parametrize(
     ("engine", "shape"),
-    [
-        (engine, shape)
-        for engine in ("reference", "fused")
-        for shape in SHAPES
-        if engine == "reference" or shape.get("activation", "relu") in kernel.ACTIVATIONS
-    ],
+    [(engine, shape) for engine in ("reference", "fused") for shape in SHAPES],
     ids=str,
 )
 def test_a_seed_is_the_same_to_the_last_bit_alone_and_among_many(engine, shape):
@@ -338,16 +331,16 @@ def test_fused_gradient_against_finite_differences(activation, rng):
     w, m, v = start.T.flatten(), np.zeros(start.size), np.zeros(start.size)
     order = np.tile(np.arange(n, dtype=np.int32), (lanes, 1))
     handed = (
-        arguments.Data(points, targets, order, order[:, :0]),
+        fused.Data(points, targets, order, order[:, :0]),
         np.array(sizes),
         kernel.ACTIVATIONS[activation],
-        arguments.Schedule(n, 1, np.ones(1), np.ones(1)),
-        arguments.Group(
+        fused.Schedule(n, 1, np.ones(1), np.ones(1)),
+        fused.Group(
             *(np.arange(lanes, dtype=np.uint64), w, m, v, w.copy()),
             *(np.zeros(lanes), np.zeros((4, lanes), np.int64), np.ones(lanes)),
         ),
-        arguments.Filled(np.zeros(5 * lanes), np.array([-1]), np.zeros(0)),
-        arguments.Stopping(0, False, np.float64(0), 0),
+        fused.Filled(np.zeros(5 * lanes), np.array([-1]), np.zeros(0)),
+        fused.Stopping(0, False, np.float64(0), 0),
         (0,) * lanes,
         (0,) * 4,
     )

@@ -10,15 +10,20 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from iksamples.study import HeldOut
-from iksamples.training.initial import initial_weights
-from iksamples.training.problem import snapshot_epochs, split_grid
-from iksamples.training.shuffle import GOLDEN, mix, permutations
+from iksamples.training.problem import (
+    GOLDEN,
+    initial_weights,
+    mix,
+    permutations,
+    snapshot_epochs,
+    split_grid,
+)
 
 
 def test_light_modules_stay_light():
     code = (
-        "import sys; import iksamples.network, iksamples.training.initial,"
-        " iksamples.training.shuffle, iksamples.training.run;"
+        "import sys; import iksamples.network, iksamples.training.problem,"
+        " iksamples.training.run;"
         "print([m for m in ('torch', 'pytorch_lightning', 'numba', 'pandas') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -38,6 +38,11 @@ def trained(monkeypatch):
     return fits
 
 
+def train_all(study, sets, folders, cache=None):
+    for samples, folder in zip(sets, folders, strict=True):
+        run.train(study, samples, folder, cache / samples.label if cache else None)
+
+
 def contents(folder):
     """Everything in the four files, to the last bit (safetensors writes metadata in any order)."""
     found = {}
@@ -58,7 +63,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
     study = make_study(first_seed=4, held_out={"source": source, "test_share": 0.1})
     sets = [grid_samples(study, study_task(study), m) for m in (2, 3)]
     folders = [tmp_path / "a", tmp_path / "b"]
-    run.train(study, sets, folders)
+    train_all(study, sets, folders)
     for samples, folder in zip(sets, folders, strict=True):
         assert sorted(path.name for path in folder.glob("[!.]*")) == sorted(FILES)
         network = StackedMLP.load(folder / "weights.safetensors")
@@ -88,19 +93,15 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
                     if len(rows)
                     else np.nan
                 )
-                np.testing.assert_allclose(members[f"{kind}_loss_rad2"][i], loss, rtol=1e-12)
+                np.testing.assert_allclose(members[f"{kind}_loss"][i], loss, rtol=1e-12)
 
         history = pd.read_parquet(folder / "history.parquet")
         assert history.groupby("seed").epoch.apply(list).tolist() == [list(range(1, 13))] * 3
         last = history[history.epoch == 12]
-        np.testing.assert_allclose(
-            last.validation_loss_rad2, members.validation_loss_rad2, rtol=1e-4
-        )
+        np.testing.assert_allclose(last.validation_loss, members.validation_loss, rtol=1e-4)
         entries = np.concatenate([w.reshape(3, -1) for w in network.weights], axis=1)
         np.testing.assert_allclose(last.weight_mean_abs, np.abs(entries).mean(axis=1), rtol=1e-6)
-        assert (
-            history.groupby("seed").train_loss_rad2.apply(lambda x: x.iloc[-1] < x.iloc[0])
-        ).all()
+        assert (history.groupby("seed").train_loss.apply(lambda x: x.iloc[-1] < x.iloc[0])).all()
 
         snapshots = load_file(folder / "snapshots.safetensors")
         assert snapshots["epochs"].tolist()[0] == 0
@@ -117,19 +118,19 @@ def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, traine
     cache = tmp_path / "cache"
     study = make_study()
     two, three = (grid_samples(study, study_task(study), m) for m in (2, 3))
-    run.train(study, [two], [tmp_path / "2"], cache)
-    run.train(study, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    train_all(study, [two], [tmp_path / "2"], cache)
+    train_all(study, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
     more = make_study(seeds=5)
-    run.train(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    train_all(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
     assert trained == [
         ("grid2", [0, 1, 2]),
         ("grid3", [0, 1, 2]),
         ("grid2", [3, 4]),
         ("grid3", [3, 4]),
     ]
-    run.train(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
+    train_all(more, [two, three], [tmp_path / "2", tmp_path / "3"], cache)
     assert len(trained) == 4
-    run.train(more, [two, three], [tmp_path / "new2", tmp_path / "new3"])
+    train_all(more, [two, three], [tmp_path / "new2", tmp_path / "new3"])
     for m in (2, 3):
         assert contents(tmp_path / f"new{m}") == contents(tmp_path / f"{m}")
     assert len(list(cache.rglob("*.safetensors"))) == 2
@@ -137,14 +138,14 @@ def test_only_what_is_new_is_trained_and_the_files_are_the_same(tmp_path, traine
 
 def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, trained):
     cache = tmp_path / "cache"
-    two, three = (grid_samples(make_study(), study_task(make_study()), m) for m in (2, 3))
-    run.train(make_study(), [two, three], [tmp_path / "2", tmp_path / "3"], cache)
-    run.train(make_study(seeds=2), [three], [tmp_path / "3"], cache)
+    three = grid_samples(make_study(), study_task(make_study()), 3)
+    run.train(make_study(), three, tmp_path / "3", cache)
+    run.train(make_study(seeds=2), three, tmp_path / "3", cache)
     (kept,) = cache.rglob("*.safetensors")
     assert load_file(kept)["seeds"].tolist() == [0, 1]
-    assert len(trained) == 2
-    run.train(make_study(seeds=2, learning_rate=0.01), [three], [tmp_path / "3"], cache)
-    assert trained[2:] == [("grid3", [0, 1])]
+    assert len(trained) == 1
+    run.train(make_study(seeds=2, learning_rate=0.01), three, tmp_path / "3", cache)
+    assert trained[1:] == [("grid3", [0, 1])]
 
 
 @pytest.mark.parametrize(
@@ -155,14 +156,14 @@ def test_the_cache_forgets_what_the_study_no_longer_uses(tmp_path, trained):
 def test_a_damaged_cache_file_is_trained_again(tmp_path, trained, damage):
     cache, out = tmp_path / "cache", tmp_path / "out"
     samples = grid_samples(make_study(), study_task(make_study()), 2)
-    run.train(make_study(), [samples], [out], cache)
+    run.train(make_study(), samples, out, cache)
     before = contents(out)
     (file,) = cache.rglob("*.safetensors")
     file.write_bytes(damage(file.read_bytes()))
-    run.train(make_study(), [samples], [out], cache)
+    run.train(make_study(), samples, out, cache)
     assert len(trained) == 2
     assert contents(out) == before
-    run.train(make_study(), [samples], [out], cache)
+    run.train(make_study(), samples, out, cache)
     assert len(trained) == 2
 
 
@@ -180,12 +181,12 @@ def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, trained, monkeyp
 
     monkeypatch.setattr(run, "_fit", break_off)
     with pytest.raises(KeyboardInterrupt):
-        run.train(study, sets, folders, cache)
+        train_all(study, sets, folders, cache)
     assert not folders[1].exists()
     monkeypatch.setattr(run, "_fit", fit)
-    run.train(study, sets, folders, cache)
+    train_all(study, sets, folders, cache)
     assert trained == [("grid2", [0, 1]), ("grid2", [2]), ("grid3", [0, 1]), ("grid3", [2])]
-    run.train(study, sets, [tmp_path / "n2", tmp_path / "n3"])
+    train_all(study, sets, [tmp_path / "n2", tmp_path / "n3"])
     for m in (2, 3):
         assert contents(tmp_path / f"n{m}") == contents(tmp_path / f"{m}")
 
@@ -193,14 +194,14 @@ def test_an_interrupted_run_keeps_what_it_has_trained(tmp_path, trained, monkeyp
 def test_progress_is_a_line_per_grid_where_there_is_no_terminal(tmp_path, capsys):
     study = make_study(seeds=2, epochs=2)
     samples = grid_samples(study, study_task(study), 2)
-    run.train(study, [samples], [tmp_path], progress=True)
+    run.train(study, samples, tmp_path, progress=True)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("grid2: 8 samples, 2 seeds, 2 epochs, ")
     assert err.count("\n") == 1
-    run.train(study, [samples], [tmp_path / "tanh/grid2"], progress=True)
+    run.train(study, samples, tmp_path / "tanh/grid2", progress=True)
     assert capsys.readouterr().err.startswith("tanh/grid2: 8 samples")
-    run.train(study, [samples], [tmp_path])
+    run.train(study, samples, tmp_path)
     assert capsys.readouterr() == ("", "")
 
 
@@ -208,7 +209,7 @@ def test_a_diverged_seed_is_a_row_that_says_so(tmp_path):
     study = make_study(epochs=3)
     samples = grid_samples(study, study_task(study), 2)
     samples.joints[:] = 1e30  # its square is beyond single precision
-    run.train(study, [samples], [tmp_path])
+    run.train(study, samples, tmp_path)
     assert pd.read_parquet(tmp_path / "members.parquet").diverged.all()
     assert len(pd.read_parquet(tmp_path / "history.parquet")) == 9
 
@@ -243,5 +244,5 @@ def test_a_gpu_that_is_not_there_is_said(tmp_path):
         pytest.skip("there is one")
     study = make_study(accelerator="gpu")
     with pytest.raises(IksamplesError, match="no CUDA device"):
-        run.train(study, [grid_samples(study, study_task(study), 2)], [tmp_path / "out"])
+        run.train(study, grid_samples(study, study_task(study), 2), tmp_path / "out")
     assert not (tmp_path / "out").exists()

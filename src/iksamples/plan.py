@@ -7,7 +7,6 @@ studies in ``config``; another machine may take half or twice as long.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from iksamples.answer.outcomes import is_certifiable
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
 from iksamples.study import Study
@@ -301,7 +300,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         fresh = 2 * study.replication.seeds * len(methods)
         share = fresh / sum(plan.networks for plan in methods)
         again = work["train"][0] + sum(evaluations)
-        if is_certifiable(study.tolerance):
+        if study.tolerance.certifiable:
             again += sum(proofs)
         work["replicate"] = [share * again]
     for step, jobs in work.items():

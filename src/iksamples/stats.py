@@ -1,5 +1,6 @@
 """The statistics of seeds: shares with their confidence, resampling, and paired comparisons."""
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -125,14 +126,7 @@ def met_needed(n: int, share: float, confidence: float) -> int | None:
     """Fewest of n trainings that must meet it for the lower end to reach a share; None: no way."""
     if share_lower(n, n, confidence) < share:
         return None
-    low, high = 0, n
-    while low < high:
-        middle = (low + high) // 2
-        if share_lower(middle, n, confidence) >= share:
-            high = middle
-        else:
-            low = middle + 1
-    return low
+    return bisect_left(range(n + 1), share, key=lambda n_met: share_lower(n_met, n, confidence))
 
 
 def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
@@ -142,22 +136,18 @@ def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
         IksamplesError: More than ten million.
     """
 
-    def reaches(n: int) -> bool:
-        return share_lower(n - failures, n, confidence) >= share
-
-    high = failures + 1
-    while not reaches(high):
-        high *= 2
-        if high > _MOST_SEEDS:
-            raise IksamplesError(
-                f"a share of {share:g} with confidence {confidence:g} takes more than "
-                f"{_MOST_SEEDS:,} trainings; lower tolerance.success_share or raise best_of."
-            )
-    low = failures + 1
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if reaches(middle) else (middle + 1, high)
-    return high
+    n = failures + bisect_left(
+        range(failures, _MOST_SEEDS),
+        share,
+        lo=1,
+        key=lambda n: share_lower(n - failures, n, confidence),
+    )
+    if n >= _MOST_SEEDS:
+        raise IksamplesError(
+            f"a share of {share:g} with confidence {confidence:g} takes more than "
+            f"{_MOST_SEEDS:,} trainings; lower tolerance.success_share or raise best_of."
+        )
+    return n
 
 
 def compare(

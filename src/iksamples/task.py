@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain, Unit, roll_pitch_yaw
-from iksamples.arm.deviation import deviated
 from iksamples.arm.inverse import Solution, jumps, solve
 from iksamples.arm.load import load_arm
-from iksamples.arm.real import RealArm
+from iksamples.arm.real import RealArm, deviated
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
 from iksamples.region import Region

@@ -71,7 +71,7 @@ rule table:
         settings=settings(
             "robot", "task", "workspace", "samples", "evaluation", "bounds"
         ),
-        code=source_digest("iksamples.paper.table", "iksamples.paper.gather"),
+        code=source_digest("iksamples.paper.gather"),
         results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
@@ -132,8 +132,8 @@ rule replicate:
         code=source_digest(
             "iksamples.answer.replication",
             "iksamples.answer.outcomes",
-            "iksamples.training.step",
-            "iksamples.evaluation.step",
+            "iksamples.training.run",
+            "iksamples.evaluation.errors",
             "iksamples.certify.step",
         ),
         results=results_folder,

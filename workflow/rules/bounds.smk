@@ -28,7 +28,7 @@ rule bounds:
         study="results/{study}/study.json",
         arm=ARM,
         settings=settings("robot", "task", "workspace", "evaluation", "bounds"),
-        code=source_digest("iksamples.paper.audit"),
+        code=source_digest("iksamples.paper.equations"),
         results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.results:q}/network 2> >(tee {log:q} >&2)'
@@ -85,7 +85,7 @@ rule map:
         settings=settings(
             "robot", "arm", "task", "workspace", "evaluation", "tolerance"
         ),
-        code=source_digest("iksamples.certify.map_step", "iksamples.evaluation.slices"),
+        code=source_digest("iksamples.certify.step", "iksamples.evaluation.slices"),
         results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'

@@ -15,7 +15,7 @@ from iksamples.files import whole_file
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study, read_study
-from iksamples.study.text import typed
+from iksamples.study.reading import typed
 
 # What the rules run, so that no environment needs to be active. Among the params, Snakemake would
 # take another place of the same Python for another way to do things.

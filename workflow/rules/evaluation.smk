@@ -35,7 +35,7 @@ rule evaluate:
         arm=ARM,
         waypoints=WAYPOINTS,
         settings=settings("robot", "arm", "task", "workspace", "evaluation"),
-        code=source_digest("iksamples.evaluation.step"),
+        code=source_digest("iksamples.evaluation.errors"),
         results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.network}'
@@ -68,7 +68,7 @@ if UNTRAINED:
             waypoints=WAYPOINTS,
             settings=settings("robot", "arm", "task", "workspace", "evaluation"),
             kinds=UNTRAINED,
-            code=source_digest("iksamples.evaluation.step"),
+            code=source_digest("iksamples.evaluation.errors"),
             methods=[f"--method={name}" for name in UNTRAINED],
             results=results_folder,
         shell:

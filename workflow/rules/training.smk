@@ -43,7 +43,7 @@ rule train:
     params:
         study="results/{study}/study.json",
         settings=settings("network", "training", "methods"),
-        code=source_digest("iksamples.training.step"),
+        code=source_digest("iksamples.training.run"),
         results=results_folder,
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples train {params.study:q} {input.samples:q}'

@@ -71,7 +71,7 @@ def train_seeds(study: Study, samples: SampleSet, progress: bool = False) -> Sta
     """
     n_trained = study.training.n_trained(samples.n_samples)
     with TemporaryDirectory(prefix="iksamples-") as folder:
-        train(study.for_method(NETWORK, n_trained), [samples], [Path(folder)], progress=progress)
+        train(study.for_method(NETWORK, n_trained), samples, Path(folder), progress=progress)
         return StackedMLP.load(Path(folder) / "weights.safetensors")
 
 

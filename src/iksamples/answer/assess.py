@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.answer import (
     VERSION,
@@ -34,9 +35,6 @@ from iksamples.study import NETWORK, Study
 from iksamples.text import described
 
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 _MOST_FAILURES = 10_000
 """Where the share seen is so near the required one that more trainings are no advice."""
 _TOLERANCES = 60
@@ -58,7 +56,7 @@ def answer_study(study: Study, results: str | Path) -> Answer:
 
 def answer(
     study: Study,
-    rows: "pd.DataFrame",
+    rows: pd.DataFrame,
     results: Path | None = None,
     floor: Floor | None = None,
 ) -> Answer:
@@ -111,8 +109,6 @@ def read_floor(study: Study, results: str | Path) -> Floor | None:
         study: The study.
         results: Its results folder.
     """
-    import pandas as pd
-
     if study.arm is None:
         return None
     n, errors = len(study.arms), np.zeros(1)
@@ -131,8 +127,8 @@ def read_floor(study: Study, results: str | Path) -> Floor | None:
 
 
 def samples_needed(
-    study: Study, rows: "pd.DataFrame", tolerances_mm: Floats | None = None
-) -> "pd.DataFrame":
+    study: Study, rows: pd.DataFrame, tolerances_mm: Floats | None = None
+) -> pd.DataFrame:
     """Samples needed against tolerance, a line per variant.
 
     Each tolerance is answered as the study's own is, and its answers hold together as that one's
@@ -148,8 +144,6 @@ def samples_needed(
         By variant and tolerance: method, design, tolerance_mm, n_samples (NaN: no answer), status
         (as in ``answer.VariantAnswer``), certified.
     """
-    import pandas as pd
-
     of_variants = variants(rows)
     if tolerances_mm is None:
         tolerances_mm = _spread(study, judge(study, of_variants)[1])
@@ -208,7 +202,7 @@ def _verdict(
 def _variant_answer(
     study: Study,
     variant: Variant,
-    rows: "pd.DataFrame",
+    rows: pd.DataFrame,
     sizes: list[Size],
     confidence: Confidence,
 ) -> VariantAnswer:
@@ -232,7 +226,7 @@ def _variant_answer(
     )
 
 
-def _comparisons(study: Study, of_variants: "Mapping[Variant, pd.DataFrame]") -> list[Comparison]:
+def _comparisons(study: Study, of_variants: Mapping[Variant, pd.DataFrame]) -> list[Comparison]:
     found = []
     first = next((variant for variant in of_variants if variant.method == NETWORK), None)
     for variant, rows in of_variants.items():

@@ -69,14 +69,14 @@ def loss_fall(history: "pd.DataFrame", rng: np.random.Generator) -> Interval:
     """By which share the training loss falls from the last but one tenth of training to the last.
 
     Args:
-        history: Columns seed, epoch, train_loss_rad2.
+        history: Columns seed, epoch, train_loss.
         rng: Draws the resamples.
 
     Returns:
         Median over the seeds that trained for twenty epochs or more, with its interval.
     """
     falls = []
-    for _, losses in history.sort_values("epoch").groupby("seed")["train_loss_rad2"]:
+    for _, losses in history.sort_values("epoch").groupby("seed")["train_loss"]:
         loss = losses.to_numpy(float)
         tenth = len(loss) // 10
         if tenth >= 2 and np.isfinite(loss[-2 * tenth :]).all():

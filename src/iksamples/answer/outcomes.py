@@ -27,11 +27,6 @@ COLUMNS = (
 """Columns of the outcomes; ``outcomes`` says what they hold."""
 
 
-def is_certifiable(tolerance: Tolerance) -> bool:
-    """Whether the tolerance is about the worst case over the workspace, which can be proved."""
-    return tolerance.of == "worst" and tolerance.where == WORKSPACE
-
-
 def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     """One row for each training, with the error that the study's tolerance is about.
 
@@ -58,10 +53,10 @@ def outcomes(study: Study, runs: "pd.DataFrame") -> "pd.DataFrame":
     if mm_per_deg is not None:
         parts.append((f"angle_{statistic}_deg", "angle_lower_deg", "angle_upper_deg", mm_per_deg))
     rows[["error_mm", "attained_mm"]] = -np.inf
-    rows["certified"] = is_certifiable(tolerance)
+    rows["certified"] = tolerance.certifiable
     for measured, lower, upper, mm in parts:
         seen = rows[measured].where(~rows["diverged"], np.inf).fillna(np.inf)
-        proved = rows[upper].notna() & is_certifiable(tolerance)
+        proved = rows[upper].notna() & tolerance.certifiable
         attained = seen.clip(lower=rows[lower].fillna(0)).clip(upper=rows[upper].fillna(np.inf))
         rows["error_mm"] = np.fmax(rows["error_mm"], mm * rows[upper].where(proved, seen))
         rows["attained_mm"] = np.fmax(rows["attained_mm"], mm * attained.where(proved, seen))

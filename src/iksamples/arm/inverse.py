@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.closed_form import Elbow, fits_yaw_pitch_pitch, yaw_pitch_pitch
-from iksamples.arm.newton import Follower
+from iksamples.arm.solvers import Elbow, Follower, fits_yaw_pitch_pitch, yaw_pitch_pitch
 from iksamples.arm.target import Target
 from iksamples.errors import IksamplesError
 
@@ -40,7 +39,7 @@ class Solution:
         in_reach: The tool is where it is wanted, shape (points,).
         in_limits: In reach and inside the joint limits, shape (points,).
         smallest_singular_mm: Smallest singular value of the Jacobian of what is asked for [mm/rad]
-            (`newton.Follower.jacobian_mm`), 0 out of reach, shape (points,).
+            (`solvers.Follower.jacobian_mm`), 0 out of reach, shape (points,).
         singular: In reach, and that singular value is below the threshold, shape (points,).
     """
 
@@ -339,10 +338,16 @@ def _checked_home(chain: SerialChain, home: ArrayLike) -> Floats:
         worst = int(np.argmax(np.maximum(chain.lower - home, home - chain.upper)))
         value, unit = home[worst], chain.joint_units[worst]
         low, high = chain.lower[worst], chain.upper[worst]
-        in_degrees = unit == "rad" and low <= np.radians(value) <= high
-        hint = f" In degrees? {value:g} deg is {np.radians(value):.4g} rad." if in_degrees else ""
+        key, hint, ends = "home", "", np.radians([low, high])
+        if unit == "rad" and low <= np.radians(value) <= high:
+            hint = f" In degrees? {value:g} deg is {np.radians(value):.4g} rad."
+        elif unit == "rad" and ends[0] <= value <= ends[1]:
+            key, hint = (
+                "limits",
+                " In degrees? {:g} to {:g} deg is {:.4g} to {:.4g} rad.".format(low, high, *ends),
+            )
         raise IksamplesError(
-            f"robot.home_{unit}: {chain.joint_names[worst]} = {value:g} {unit} is outside its "
+            f"robot.{key}_{unit}: {chain.joint_names[worst]} = {value:g} {unit} is outside its "
             f"limits [{low:.3f}, {high:.3f}].{hint}"
         )
     return home

@@ -11,8 +11,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from iksamples.arm.chain import Floats, roll_pitch_yaw
-from iksamples.arm.links import KINDS, Joint, Kind, number
+from iksamples.arm.chain import KINDS, Floats, Joint, Kind, number, roll_pitch_yaw
 from iksamples.errors import IksamplesError
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.deviation import deviated, deviated_pose
+from iksamples.arm.real import deviated, deviated_pose
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Expected

@@ -34,6 +34,7 @@ from iksamples.certify.balls import (
     product_above,
     stack,
     sum_above,
+    tiles,
     up,
 )
 from iksamples.certify.checker_arm import Arm
@@ -49,7 +50,6 @@ from iksamples.certify.compared import (
 )
 from iksamples.certify.search import Leaves
 from iksamples.certify.table import Table
-from iksamples.certify.tiling import tiles
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region

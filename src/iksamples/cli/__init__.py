@@ -4,12 +4,9 @@ import sys
 
 import typer
 
-from iksamples.cli import ask, certify, export, readings, size, steps
+from iksamples.cli import ask, certify, readings, size, steps
 from iksamples.cli.common import app
 from iksamples.errors import IksamplesError
-
-
-__all__ = ["app", "ask", "certify", "export", "main", "readings", "size", "steps"]
 
 
 def main() -> None:

@@ -63,7 +63,7 @@ def train(
 ) -> None:
     """Train all seeds of every network of the study on each set of samples."""
     from iksamples.study import read_study
-    from iksamples.training.step import train_study
+    from iksamples.training.run import train_study
 
     train_study(read_study(study_file), load_samples(samples_files), output, cache, progress=True)
 
@@ -76,7 +76,7 @@ def evaluate(
     results: Results,
 ) -> None:
     """Send methods along the paths and over the workspace; measure through the FK."""
-    from iksamples.evaluation.step import evaluate as measure
+    from iksamples.evaluation.errors import evaluate as measure
     from iksamples.study import read_study
     from iksamples.task import study_task
 
@@ -117,7 +117,7 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     import pandas as pd
 
     from iksamples.network import StackedMLP
-    from iksamples.paper.audit import audit
+    from iksamples.paper.equations import audit
     from iksamples.study import read_study
 
     study = read_study(study_file)
@@ -162,7 +162,7 @@ def map_(study_file: StudyFile, results: Results) -> None:
     """Prove where the shown networks miss the tolerance, and their worst case along training."""
     import pandas as pd
 
-    from iksamples.certify.map_step import map_cell, shown_seeds
+    from iksamples.certify.step import map_cell, shown_seeds
     from iksamples.evaluation.slices import error_slices
     from iksamples.results import cells
     from iksamples.study import read_study
@@ -203,8 +203,7 @@ def table(study_file: StudyFile, results: Results) -> None:
     """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
     import pandas as pd
 
-    from iksamples.paper.gather import claims_table
-    from iksamples.paper.table import study_table
+    from iksamples.paper.gather import claims_table, study_table
     from iksamples.results import cells
 
     study, task = open_study(study_file)
@@ -253,8 +252,8 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         to_json,
     )
     from iksamples.results import sample_sets
-    from iksamples.samples.arms import on_arms
     from iksamples.samples.dataset import SampleSet
+    from iksamples.samples.record import on_arms
     from iksamples.study import NETWORK, read_study
     from iksamples.task import study_task
 

@@ -2,21 +2,27 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.arm.real import Arm
 from iksamples.evaluation.paths import waypoints
-from iksamples.methods.predictor import Predictor
+from iksamples.methods.predictor import NotApplicableError, Predictor
+from iksamples.methods.registry import KINDS, fit_each
+from iksamples.network import StackedMLP, read_tensors
+from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
-from iksamples.study import Evaluation
+from iksamples.study import Evaluation, Study
 from iksamples.task import Task
 
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 CUBE = "cube"
 """Name of the region of a table that is the whole region of the study."""
@@ -156,3 +162,87 @@ def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame"
         statistics[column("p99")] = values.quantile(0.99)
         statistics[column("max")] = values.max()
     return pd.DataFrame(statistics).reset_index()
+
+
+def evaluate(
+    study: Study, task: Task, samples: SampleSet, method: str, folder: Path
+) -> "tuple[dict[str, pd.DataFrame], str | None]":
+    """Measures a method's errors along the paths and over the workspace.
+
+    Args:
+        study: The study.
+        task: Its task.
+        samples: What the method learnt from, or is fitted to now if it is no network.
+        method: Name of the method.
+        folder: Where a network's weights are.
+
+    Returns:
+        A table for each of ``TABLES``, and None; or empty tables and why the method cannot use
+        these samples.
+    """
+    import pandas as pd
+
+    own = study.all_methods[method]
+    try:
+        predictor: Predictor = (
+            StackedMLP.load(folder / "weights.safetensors")
+            if not KINDS[own.kind].fit
+            else fit_each(own.kind, task, samples, own.training.all_seeds)
+        )
+    except NotApplicableError as reason:
+        empty = {
+            "waypoints": pd.DataFrame({"path": [], "seed": [], "error_mm": []}),
+            "cube": pd.DataFrame({"point": [], "seed": [], "error_mm": []}),
+        }
+        return {**empty, "errors": summarise(**empty)}, str(reason)
+    waypoints = track_paths(study.evaluation, task, predictor)
+    cube = cube_errors(study.evaluation, task, predictor)
+    return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}, None
+
+
+MAX_EPOCHS = 60
+
+
+def median_seed(waypoints: "pd.DataFrame") -> int:
+    """The seed whose mean error on a path is the median over the seeds.
+
+    Of an even number of seeds it is the better of the middle two, so that it is always a network
+    that was trained. Seeds without a finite error come last.
+
+    Args:
+        waypoints: Rows of one path with the columns ``seed`` and ``error_mm``.
+    """
+    errors = waypoints.groupby("seed")["error_mm"].agg(lambda error: error.mean(skipna=False))
+    ranked = errors.sort_values(kind="stable", na_position="last")
+    return int(ranked.index[(len(ranked) - 1) // 2])
+
+
+def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64], StackedMLP]:
+    """The network of one seed at every epoch that was kept.
+
+    Args:
+        path: Snapshots of a grid's training (safetensors).
+        seed: Which seed.
+
+    Returns:
+        The epochs, at most 60 of them with the first and the last, shape (epochs,), and a stack
+        with one network per epoch.
+    """
+    tensors, header = read_tensors(path)
+    row = header["seeds"].index(seed)
+    epochs = tensors["epochs"].astype(np.int64)
+    kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
+    layers = range(sum(key.endswith(".weight") for key in tensors))
+    weights, biases = (
+        tuple(tensors[f"layers.{i}.{part}"][:, row][kept] for i in layers)
+        for part in ("weight", "bias")
+    )
+    stack = StackedMLP(
+        weights,
+        biases,
+        header["activation"],
+        tensors["offset_mm"],
+        tensors["scale_mm"],
+        (seed,) * len(kept),
+    )
+    return epochs[kept], stack

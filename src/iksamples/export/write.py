@@ -15,7 +15,7 @@ import numpy as np
 from iksamples import __version__
 from iksamples.answer.answer import Answer, VariantAnswer, read_answer
 from iksamples.answer.collect import WORKSPACE, read_runs
-from iksamples.certify.printing import point
+from iksamples.certify.proof import point
 from iksamples.certify.readers.layers import fed_as, read_as
 from iksamples.certify.readers.network import Proved, Reading, float32_in_words, load_network, prove
 from iksamples.errors import IksamplesError

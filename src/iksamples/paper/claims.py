@@ -13,7 +13,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.paper import equations as paper
-from iksamples.paper.evidence import Evidence, GridEvidence
+from iksamples.paper.equations import Evidence, GridEvidence
 from iksamples.stats import Interval
 
 

@@ -1,18 +1,25 @@
-"""Gathers, from a finished study, what the paper's claims are held against."""
+"""What the paper's Table 1 and claims are held against: gathered from a finished study."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.curves import GridCurve, fit_published, fit_seeds
 from iksamples.arm.chain import Floats
-from iksamples.evaluation.errors import send
-from iksamples.paper.audit import input_jacobian, scale_mm
+from iksamples.evaluation.errors import CUBE, send
+from iksamples.paper import equations as paper
 from iksamples.paper.claims import judge_claims
-from iksamples.paper.evidence import AVERAGE_NAMES, Evidence, GridEvidence
-from iksamples.paper.table import paper_table
+from iksamples.paper.equations import (
+    AVERAGE_NAMES,
+    Evidence,
+    GridEvidence,
+    input_jacobian,
+    paper_table,
+    reading_table,
+    scale_mm,
+)
 from iksamples.results import Cell, cells
 from iksamples.samples.record import region_points
 from iksamples.stats import FEWEST_SEEDS, Interval, draws
@@ -20,8 +27,80 @@ from iksamples.study import NETWORK, Study
 from iksamples.task import Task
 
 
-if TYPE_CHECKING:
-    import pandas as pd
+def study_table(study: Study, cells: Iterable[Cell], certificates: pd.DataFrame) -> pd.DataFrame:
+    """Aggregates the errors and estimates of every grid over its seeds.
+
+    Means over seeds; ``error_sd_mm`` is the standard deviation over seeds of a seed's mean error
+    along the study's first path (the paper does not say what its ± is). A seed that diverged is
+    counted in ``n_diverged`` and left out of everything else.
+
+    Args:
+        study: The study.
+        cells: One cell per grid.
+        certificates: Certified worst cases, columns as in ``columns.CERTIFICATES``.
+
+    Returns:
+        One row per grid, columns as in ``columns.COLUMNS``.
+    """
+    published = paper_table().join(reading_table())
+    first_path = next(iter(study.evaluation.paths))
+    rows = []
+    for cell in cells:
+        samples, members = cell.samples, cell.table("members")
+        sound = members.loc[~members["diverged"], "seed"]
+        errors = cell.sound_errors.set_index("region")
+        bounds = cell.table("bounds").query("seed in @sound.values")
+        name = study.bounds.average_weight
+        spacing_mm = samples.spacing_mm
+        m = samples.points_per_axis
+        row: dict[str, object] = {
+            "samples_per_axis": m,
+            "n_samples": samples.n_samples,
+            "n_trained": int(members["n_trained"].iloc[0]),
+            "spacing_mm": spacing_mm,
+            "fill_distance_mm": samples.fill_distance_mm,
+            "n_seeds": len(members),
+            "n_diverged": len(members) - len(sound),
+        }
+        row |= over_seeds(errors.loc[[first_path]], "", spacing_mm)
+        row["estimate_mm"] = bounds[f"estimate_{name}_mm"].mean()
+        row["wbar"] = bounds[f"wbar_{name}"].mean()
+        row["above_estimate"] = bounds[f"above_{name}"].mean()
+        proved = certificates.query("method == @cell.method and label == @cell.label")
+        row["sup_median_mm"] = proved["sup_upper_mm"].median()
+        row["sup_worst_mm"] = proved["sup_upper_mm"].max()
+        on_paper = published.loc[m] if m in published.index else None
+        for column in published.columns.drop("n_samples"):
+            row[column] = np.nan if on_paper is None else on_paper[column]
+        row["wbar_for_paper"] = (
+            np.nan
+            if on_paper is None
+            else float(
+                paper.average_weight_of(on_paper["paper_estimate_mm"], m**3, scale_mm(study))
+            )
+        )
+        row |= over_seeds(errors.loc[[CUBE]], "cube_", spacing_mm)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def over_seeds(errors: pd.DataFrame, prefix: str, spacing_mm: float) -> dict[str, float]:
+    """Statistics over seeds of one region's errors.
+
+    Args:
+        errors: Rows of ``errors.parquet`` of one region, one per sound seed.
+        prefix: Put before each name.
+        spacing_mm: Spacing of the grid [mm].
+    """
+    mean = errors["error_mean_mm"].mean()
+    return {
+        f"{prefix}error_mean_mm": mean,
+        f"{prefix}error_sd_mm": errors["error_mean_mm"].std(ddof=1),
+        f"{prefix}error_p95_mm": errors["error_p95_mm"].mean(),
+        f"{prefix}error_max_mm": errors["error_max_mm"].max(),
+        f"{prefix}error_over_spacing": mean / spacing_mm,
+    }
+
 
 _POINTS = 512
 """Points of the workspace at which slopes are looked at; a slope found is one that occurs."""
@@ -33,8 +112,8 @@ _RESAMPLES = 4000
 
 
 def claims_table(
-    study: Study, task: Task, results: str | Path, proofs: "pd.DataFrame"
-) -> "pd.DataFrame":
+    study: Study, task: Task, results: str | Path, proofs: pd.DataFrame
+) -> pd.DataFrame:
     """Every claim of the paper with its verdict; no row where the samples are not on grids.
 
     Args:
@@ -46,8 +125,6 @@ def claims_table(
     Returns:
         Columns claim, where, verdict, evidence.
     """
-    import pandas as pd
-
     columns = ["claim", "where", "verdict", "evidence"]
     sound = [cell for cell in cells(study, results) if len(cell.sound_errors)]
     if study.samples.design != "grid" or not sound:
@@ -68,7 +145,7 @@ def fall(before: Floats, after: Floats) -> Interval:
     return Interval(share, *(float(q) for q in np.quantile(1 - second / first, [0.025, 0.975])))
 
 
-def _gather(study: Study, task: Task, sound: Sequence[Cell], proofs: "pd.DataFrame") -> Evidence:
+def _gather(study: Study, task: Task, sound: Sequence[Cell], proofs: pd.DataFrame) -> Evidence:
     points = region_points(task.region, _POINTS)
     angles = task.reach(points).joints
     jacobians = np.abs(task.drawing.jacobian_mm(angles))
@@ -109,7 +186,7 @@ def _path_errors(study: Study, cell: Cell) -> "pd.Series[float]":
 
 
 def _grid(
-    study: Study, task: Task, cell: Cell, proofs: "pd.DataFrame", points: Floats
+    study: Study, task: Task, cell: Cell, proofs: pd.DataFrame, points: Floats
 ) -> GridEvidence:
     errors = _path_errors(study, cell)
     seeds = [int(seed) for seed in errors.index]
@@ -148,7 +225,7 @@ def _grid(
     )
 
 
-def _paper_curve(published: "pd.DataFrame") -> GridCurve | None:
+def _paper_curve(published: pd.DataFrame) -> GridCurve | None:
     return fit_published(
         published.index.to_numpy(float),
         published["paper_error_mm"],
@@ -158,8 +235,6 @@ def _paper_curve(published: "pd.DataFrame") -> GridCurve | None:
 
 
 def _our_curve(study: Study, sound: Sequence[Cell]) -> GridCurve | None:
-    import pandas as pd
-
     sets = {cell.samples.n_samples: cell.samples.points_per_axis for cell in sound}
     columns = [_path_errors(study, cell) for cell in sound]
     errors = pd.concat(dict(zip(sets, columns, strict=True)), axis=1).dropna()

@@ -11,19 +11,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from iksamples.errors import IksamplesError
 from iksamples.files import checked
+from iksamples.paper.equations import paper_table
 from iksamples.paper.options import QUESTIONS, Option
-from iksamples.paper.table import paper_table
 from iksamples.study import Readings, Study, parse_study
 
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ROWS = ("n_samples", "n_seeds", "n_diverged", "error_mean_mm", "error_sd_mm")
 """Columns of a reading's table, a row per grid."""
@@ -144,12 +142,12 @@ def most_chosen(wanted: Readings) -> int:
     return min(wanted.count, wanted.best + _MOST_CONTRADICTIONS + 1 + kept + 1)
 
 
-def search_part(wanted: Readings, part: int) -> "pd.DataFrame":
+def search_part(wanted: Readings, part: int) -> pd.DataFrame:
     """Trains one of ``wanted.jobs`` parts of the search; see ``train_readings``."""
     return train_readings(draw_readings(wanted)[part :: wanted.jobs], wanted.seeds)
 
 
-def confirm_part(wanted: Readings, searched: "pd.DataFrame", part: int) -> "pd.DataFrame":
+def confirm_part(wanted: Readings, searched: pd.DataFrame, part: int) -> pd.DataFrame:
     """Trains one of ``wanted.jobs`` parts of the chosen readings again, with fresh seeds.
 
     Args:
@@ -161,7 +159,7 @@ def confirm_part(wanted: Readings, searched: "pd.DataFrame", part: int) -> "pd.D
     return train_readings(chosen, wanted.fresh_seeds, FRESH_SEED)
 
 
-def choose(searched: "pd.DataFrame", best: int) -> list[Reading]:
+def choose(searched: pd.DataFrame, best: int) -> list[Reading]:
     """Readings that are worth fresh seeds.
 
     They are the best ones; the best one for each number of contradictions; the best one that keeps
@@ -186,7 +184,7 @@ def choose(searched: "pd.DataFrame", best: int) -> list[Reading]:
     return list(dict.fromkeys([*readings, letter]))
 
 
-def rank(rows: "pd.DataFrame") -> "pd.DataFrame":
+def rank(rows: pd.DataFrame) -> pd.DataFrame:
     """Readings by how far their rows are from Table 1, nearest first.
 
     Args:
@@ -197,8 +195,6 @@ def rank(rows: "pd.DataFrame") -> "pd.DataFrame":
         against the paper's words, with commas), ``n_contradicted``, what ``compare`` found, and
         ``error_<n>_mm`` and ``sd_<n>_mm`` for each number of samples.
     """
-    import pandas as pd
-
     ranked = []
     for names, of_reading in rows.groupby(list(QUESTIONS), sort=False):
         reading = Reading.named(**dict(zip(QUESTIONS, map(str, names), strict=True)))
@@ -220,7 +216,7 @@ def rank(rows: "pd.DataFrame") -> "pd.DataFrame":
     return pd.DataFrame(ranked).sort_values("off_sd", kind="stable", ignore_index=True)
 
 
-def best_reading(rows: "pd.DataFrame") -> str:
+def best_reading(rows: pd.DataFrame) -> str:
     """The nearest reading as JSON, which ``kept_reading`` reads where the package ships it.
 
     Args:
@@ -240,20 +236,14 @@ def best_reading(rows: "pd.DataFrame") -> str:
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def read_parts(files: Sequence[Path]) -> "pd.DataFrame":
+def read_parts(files: Sequence[Path]) -> pd.DataFrame:
     """The parts of a search or of its confirmation as one table."""
-    import pandas as pd
-
     names = dict.fromkeys(QUESTIONS, str)  # "16" is the name of an option
     return pd.concat([pd.read_csv(checked(file), dtype=names) for file in files], ignore_index=True)
 
 
-def train_readings(
-    readings: Sequence[Reading], n_seeds: int, first_seed: int = 0
-) -> "pd.DataFrame":
+def train_readings(readings: Sequence[Reading], n_seeds: int, first_seed: int = 0) -> pd.DataFrame:
     """The tables of some readings below each other, with the option of each question in front."""
-    import pandas as pd
-
     frames = [
         train_reading(reading, n_seeds, first_seed).assign(**reading.names) for reading in readings
     ]
@@ -262,15 +252,13 @@ def train_readings(
     return pd.concat(frames, ignore_index=True)[[*QUESTIONS, *ROWS]]
 
 
-def train_reading(reading: Reading, n_seeds: int, first_seed: int = 0) -> "pd.DataFrame":
+def train_reading(reading: Reading, n_seeds: int, first_seed: int = 0) -> pd.DataFrame:
     """Table 1 as a reading gives it.
 
     Returns:
         One row per grid: n_samples, n_seeds, n_diverged, error_mean_mm and error_sd_mm (mean and
         standard deviation over seeds of a seed's mean error along the path).
     """
-    import pandas as pd
-
     study = reading.study(n_seeds, first_seed)
     rows = []
     for m in study.samples.points_per_axis:
@@ -294,9 +282,9 @@ def path_errors(study: Study, points_per_axis: int) -> np.ndarray:
     from iksamples.evaluation.paths import waypoints
     from iksamples.samples.record import grid_samples
     from iksamples.task import study_task
-    from iksamples.training.files import final_network
     from iksamples.training.module import fit, make_engine
     from iksamples.training.problem import pose_problem
+    from iksamples.training.record import final_network
     from iksamples.training.run import choose_engine
 
     task = study_task(study)
@@ -308,7 +296,7 @@ def path_errors(study: Study, points_per_axis: int) -> np.ndarray:
     return np.asarray(send(network, task, waypoints(path, task).x).error_mm.mean(axis=1))
 
 
-def compare(rows: "pd.DataFrame") -> dict[str, float]:
+def compare(rows: pd.DataFrame) -> dict[str, float]:
     """How far seven rows are from the paper's.
 
     Args:
@@ -344,7 +332,7 @@ def _path(value: Any, lower: Sequence[float], upper: Sequence[float]) -> dict[st
     }
 
 
-def _records(rows: "pd.DataFrame") -> list[dict[str, Any]]:
+def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]
 
 

@@ -227,9 +227,9 @@ def _networks(
     task: Task | None,
 ) -> "Iterator[pd.DataFrame]":
     """A network per order, all orders of a size at once."""
-    from iksamples.training.files import final_network
     from iksamples.training.module import fit, make_engine
     from iksamples.training.problem import pose_problem
+    from iksamples.training.record import final_network
     from iksamples.training.run import choose_engine
 
     seeds = range(len(some.learned))

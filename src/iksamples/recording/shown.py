@@ -2,24 +2,19 @@
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import Tracking, send
-from iksamples.evaluation.shown import median_seed, networks_over_epochs
+from iksamples.evaluation.errors import Tracking, median_seed, networks_over_epochs, send
 from iksamples.files import checked
 from iksamples.results import Cell
 from iksamples.task import Task
-
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,14 +287,12 @@ def _glass(proof: Proof) -> rr.Mesh3D:
     )
 
 
-def _of_seed(table: "pd.DataFrame", seed: int) -> "pd.DataFrame":
+def _of_seed(table: pd.DataFrame, seed: int) -> pd.DataFrame:
     return table[table["seed"] == seed]
 
 
 def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, float]:
     """Where the largest known error is, and how large it is."""
-    import pandas as pd
-
     file = cell.folder.parent / "certificates.csv"
     if not file.exists():
         return None, float("nan")

@@ -14,7 +14,7 @@ from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.shown import median_seed
+from iksamples.evaluation.errors import median_seed
 from iksamples.files import checked
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
@@ -98,6 +98,12 @@ class ReportData:
         rows = self.runs[self.runs["region"] == self.first_path]
         rows = rows[(rows["method"] == NETWORK)].rename(columns={"error_mean_mm": "error_mm"})
         return {label: median_seed(rows[rows["label"] == label]) for label in self.cells}
+
+    @property
+    def loss_unit(self) -> str:
+        """Unit of the losses, for an axis; none where prismatic joints count by their scale."""
+        joints = next(iter(self.cells.values())).samples.joint_space
+        return "" if "mm" in joints.units else " [rad²]"
 
     def samples_mm(self, label: str) -> Floats:
         """Where the samples of a set are [mm], shape (n, coordinates of the position)."""

@@ -49,7 +49,7 @@ def curves(data: ReportData) -> dict[str, Any]:
         ),
         "regions": _regions(regions),
         "on_path": _mean_and_sd(data),
-        "training": _training_drawing(history),
+        "training": _training_drawing(history, data.loss_unit),
         "steps": data.table("members").groupby("n_samples")["steps"].median(),
         "source": (data.results / "runs.parquet").as_posix(),
     }
@@ -191,12 +191,12 @@ def _tips(rows: pd.DataFrame) -> list[str]:
     ]
 
 
-def _training_drawing(history: pd.DataFrame) -> figures.Drawing:
+def _training_drawing(history: pd.DataFrame, unit: str) -> figures.Drawing:
     """Losses over the epochs, a panel for each number of samples."""
     last = history["epoch"].max()
     kept = np.unique(np.linspace(1, last, 90).round())
     history = history[history["epoch"].isin(kept)]
-    columns = {"training": "train_loss_rad2", "validation": "validation_loss_rad2"}
+    columns = {"training": "train_loss", "validation": "validation_loss"}
     long = pd.concat(
         history.assign(line=line, loss=history[column]) for line, column in columns.items()
     )
@@ -204,7 +204,7 @@ def _training_drawing(history: pd.DataFrame) -> figures.Drawing:
     looks = {"training": {"color": figures.NETWORK}, "validation": {"color": figures.VALIDATION}}
     return figures.lines(
         long.sort_values("n_samples", kind="stable"),
-        "epoch", "loss", looks, "epoch", "loss [rad²]", panel="panel", linear="x",
+        "epoch", "loss", looks, "epoch", f"loss{unit}", panel="panel", linear="x",
     )  # fmt: skip
 
 

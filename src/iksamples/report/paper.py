@@ -6,9 +6,7 @@ import numpy as np
 import pandas as pd
 
 from iksamples.files import checked
-from iksamples.paper.audit import scale_mm
-from iksamples.paper.evidence import AVERAGE_NAMES
-from iksamples.paper.table import kept_reading
+from iksamples.paper.equations import AVERAGE_NAMES, kept_reading, scale_mm
 from iksamples.report import figures
 from iksamples.report.data import ReportData
 from iksamples.report.figures import lines
@@ -20,6 +18,7 @@ from iksamples.text import is_paper_recipe
 TABLE, CLAIMS = "table.csv", "claims.csv"
 TEMPLATE = "paper.md.j2"
 
+_PAPER = "the paper, Table 1"
 _N, _ERROR = "number of samples", "mean position error [mm]"
 
 
@@ -53,7 +52,7 @@ def values(data: ReportData) -> dict[str, Any]:
         "verdicts": claims["Verdict"].value_counts().to_dict(),
         "one": _table_one(table),
         "contradicted": kept_reading()["contradicts"],
-        "beside": _beside(data, table),
+        "beside": _beside(data, table, False),
         "averages": AVERAGE_NAMES,
         "chosen": study.bounds.average_weight,
         "scale": scale_mm(study),
@@ -61,7 +60,7 @@ def values(data: ReportData) -> dict[str, Any]:
         "exceeded": _exceeded(bounds, study.bounds.average_weight),
         "weights": _weights(table, bounds, scale_mm(study)),
         "spaced": spaced,
-        "over_spacing": _over_spacing(data, table) if spaced else None,
+        "over_spacing": _beside(data, table, True) if spaced else None,
         "urdf": study.robot.urdf,
         "network": f"{' and '.join(map(str, study.network.hidden)) or 'no'} "
         f"{study.network.activation}",
@@ -96,30 +95,22 @@ def _table_one(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _beside(data: ReportData, table: pd.DataFrame) -> Any:
-    """Every training's mean error on the first path, and the paper's."""
-    rows = data.runs[data.runs["label"].isin(data.cells) & (data.runs["method"] == "network")]
+def _beside(data: ReportData, table: pd.DataFrame, over_spacing: bool) -> Any:
+    """Every training's mean error on the first path, and the paper's; over the grid's spacing."""
+    over = table["spacing_mm"] if over_spacing else pd.Series(1.0, table.index)
+    rows = data.runs[data.runs["label"].isin(data.cells) & (data.runs["method"] == NETWORK)]
     rows = rows[rows["region"] == data.first_path]
-    here = pd.DataFrame({"line": "here", "n": rows["n_samples"], "mm": rows["error_mean_mm"]})
-    looks = {
-        "here": {"color": figures.NETWORK, "lw": 1.9},
-        "the paper, Table 1": figures.PAPER_LINE,
-    }
-    long = pd.concat([here.assign(low=np.nan, high=np.nan), _of_the_paper(table, 1.0)])
-    return lines(long, "n", "mm", looks, _N, _ERROR)
-
-
-def _of_the_paper(table: pd.DataFrame, scale: "float | pd.Series[float]") -> pd.DataFrame:
-    mean, spread = table["paper_error_mm"] / scale, table["paper_error_sd_mm"] / scale
-    return pd.DataFrame(
-        {
-            "line": "the paper, Table 1",
-            "n": table["n_samples"],
-            "mm": mean,
-            "low": mean - spread,
-            "high": mean + spread,
-        }
+    scale = rows["n_samples"].map(dict(zip(table["n_samples"], over, strict=True)))
+    here = pd.DataFrame({"n": rows["n_samples"], "mm": rows["error_mean_mm"] / scale})
+    mean, spread = table["paper_error_mm"] / over, table["paper_error_sd_mm"] / over
+    ends = {"low": mean - spread, "high": mean + spread}
+    theirs = pd.DataFrame({"n": table["n_samples"], "mm": mean, **ends})
+    looks = {"here": {"color": figures.NETWORK, "lw": 1.9}, _PAPER: figures.PAPER_LINE}
+    long = pd.concat(
+        [here.assign(line="here", low=np.nan, high=np.nan), theirs.assign(line=_PAPER)]
     )
+    ylabel, linear = ("error over spacing, e/d", "y") if over_spacing else (_ERROR, "")
+    return lines(long, "n", "mm", looks, _N, ylabel, linear=linear)
 
 
 def _estimate(table: pd.DataFrame, bounds: pd.DataFrame, chosen: str) -> Any:
@@ -166,20 +157,3 @@ def _weights(table: pd.DataFrame, bounds: pd.DataFrame, scale: float) -> pd.Data
             "Exceeded on [%]": 100 * table["above_estimate"],
         }
     )
-
-
-def _over_spacing(data: ReportData, table: pd.DataFrame) -> Any:
-    rows = data.runs[data.runs["label"].isin(data.cells) & (data.runs["method"] == "network")]
-    rows = rows[rows["region"] == data.first_path]
-    spacing = rows["n_samples"].map(table.set_index("n_samples")["spacing_mm"])
-    here = pd.DataFrame(
-        {"line": "here", "n": rows["n_samples"], "mm": rows["error_mean_mm"] / spacing}
-    )
-    long = pd.concat(
-        [here.assign(low=np.nan, high=np.nan), _of_the_paper(table, table["spacing_mm"])]
-    )
-    looks = {
-        "here": {"color": figures.NETWORK, "lw": 1.9},
-        "the paper, Table 1": figures.PAPER_LINE,
-    }
-    return lines(long, "n", "mm", looks, _N, "error over spacing, e/d", linear="y")

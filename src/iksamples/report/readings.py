@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from iksamples.paper.equations import paper_table
 from iksamples.paper.options import QUESTIONS
 from iksamples.paper.readings import DENIABLE, FRESH_SEED, rank, read_parts
-from iksamples.paper.table import paper_table
 from iksamples.report import figures, markdown
 from iksamples.report.figures import lines
 from iksamples.report.write import Pictures, page, save, text_environment

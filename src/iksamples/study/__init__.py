@@ -7,68 +7,18 @@ here (``iksamples handbook``).
 
 from iksamples.study.arm import Arm, Expected
 from iksamples.study.evaluation import (
-    Bounds,
-    Evaluation,
-    Replication,
-    Tolerance,
-)
-from iksamples.study.paths import (
     AnyPath,
     Circle,
     CsvPath,
     DoubleRectangle,
+    Evaluation,
     Heart,
     Helix,
     Lemniscate,
+    Tolerance,
 )
 from iksamples.study.reading import parse_study, read_study
-from iksamples.study.readings import Readings
-from iksamples.study.recorded import Recorded
-from iksamples.study.robot import POSITIONS, Asked, Coordinate, Robot, Workspace
-from iksamples.study.samples import DRAWN, RECORDED, TENSOR, Design, Samples
-from iksamples.study.section import Limits, Section, Vector3
-from iksamples.study.study import NETWORK, Study, Tracking
-from iksamples.study.training import EarlyStopping, HeldOut, Method, MethodKind, Network, Training
-
-
-__all__ = [
-    "DRAWN",
-    "NETWORK",
-    "POSITIONS",
-    "RECORDED",
-    "TENSOR",
-    "AnyPath",
-    "Arm",
-    "Asked",
-    "Bounds",
-    "Circle",
-    "Coordinate",
-    "CsvPath",
-    "Design",
-    "DoubleRectangle",
-    "EarlyStopping",
-    "Evaluation",
-    "Expected",
-    "Heart",
-    "HeldOut",
-    "Helix",
-    "Lemniscate",
-    "Limits",
-    "Method",
-    "MethodKind",
-    "Network",
-    "Readings",
-    "Recorded",
-    "Replication",
-    "Robot",
-    "Samples",
-    "Section",
-    "Study",
-    "Tolerance",
-    "Tracking",
-    "Training",
-    "Vector3",
-    "Workspace",
-    "parse_study",
-    "read_study",
-]
+from iksamples.study.recorded import RECORDED, TENSOR, Design
+from iksamples.study.sections import Asked, Robot, Section, Workspace
+from iksamples.study.study import NETWORK, Readings, Study, Tracking
+from iksamples.study.training import HeldOut, Method, MethodKind, Network, Training

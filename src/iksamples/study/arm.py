@@ -2,7 +2,7 @@
 
 from pydantic import Field, model_validator
 
-from iksamples.study.section import Section
+from iksamples.study.sections import Section
 
 
 class Expected(Section):

@@ -1,16 +1,166 @@
-"""Reading a study file, and what is wrong with one in words for people."""
+"""Reading a study file, and what is wrong with one in words for people.
+
+YAML 1.1, which PyYAML reads, takes ``yes`` for true, ``010`` for eight, ``1:30`` for ninety, and
+the last of two equal keys. Here only ``true`` and ``false`` are booleans, only decimal numbers are
+numbers (YAML 1.2, core schema, https://yaml.org/spec/1.2.2/#103-core-schema), every key is a name,
+and a key that stands twice is an error. Anything else that looks odd is text, which the study
+refuses where it expects a number.
+"""
 
 import json
+import re
+from collections.abc import Hashable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import yaml
 from pydantic import ValidationError
 
 from iksamples.errors import IksamplesError
-from iksamples.study.paths import SHAPES
-from iksamples.study.section import NAMES, without_password
+from iksamples.study.evaluation import SHAPES
+from iksamples.study.sections import NAMES, without_password
 from iksamples.study.study import Study, overlay
-from iksamples.study.text import read_settings
+
+
+MOST_BYTES = 200_000
+_MOST_DIGITS = 18
+_MAP, _MERGE = "tag:yaml.org,2002:map", "tag:yaml.org,2002:merge"
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's parser with these rules."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {}
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        entries = self._entries(node, {}, ())
+        return {name: self.construct_object(value, deep=deep) for name, value in entries.items()}
+
+    def _entries(self, node: Any, done: dict[int, Any], above: tuple[int, ...]) -> dict[str, Any]:
+        """Names and values of a mapping; what it says itself wins over what ``<<`` brings."""
+        if not isinstance(node, yaml.MappingNode) or id(node) in above:
+            raise _mistake(node, "'<<' needs another mapping")
+        if id(node) not in done:
+            own: dict[str, Any] = {}
+            brought: dict[str, Any] = {}
+            lines: dict[str, int] = {}
+            for key, value in node.value:
+                if key.tag == _MERGE:
+                    sources = value.value if isinstance(value, yaml.SequenceNode) else [value]
+                    for source in reversed(sources):
+                        brought |= self._entries(source, done, (*above, id(node)))
+                    continue
+                if not isinstance(key, yaml.ScalarNode):
+                    raise _mistake(key, "a key is a plain name")
+                line = key.start_mark.line + 1
+                if key.value in own:
+                    first = lines[key.value]
+                    where = f"on line {line}" if first == line else f"on lines {first} and {line}"
+                    raise IksamplesError(f"'{_shown(key.value)}' stands twice, {where}; keep one.")
+                own[key.value], lines[key.value] = value, line
+            done[id(node)] = {**brought, **own}
+        return done[id(node)]
+
+    def construct_whole_number(self, node: Any) -> int:
+        digits = node.value.replace("_", "")
+        n = len(digits.lstrip("+-"))
+        if n > _MOST_DIGITS:
+            raise _mistake(node, f"a whole number of {n} digits")
+        return int(digits)
+
+    def construct_undefined(self, node: Any) -> Any:
+        raise _mistake(node, f"the tag {node.tag} is not read; write the plain value")
+
+
+for _tag, _pattern, _first in (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?(0|[1-9][0-9_]*)", list("-+0123456789")),
+    (
+        "float",
+        r"[-+]?((0|[1-9][0-9_]*)(\.[0-9_]*)?|\.[0-9][0-9_]*)([eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        list("-+.0123456789"),
+    ),
+    ("merge", "<<", ["<"]),
+):
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first
+    )
+for _tag, _construct in {
+    "null": yaml.SafeLoader.construct_yaml_null,
+    "bool": yaml.SafeLoader.construct_yaml_bool,
+    "int": _Loader.construct_whole_number,
+    "float": yaml.SafeLoader.construct_yaml_float,
+    "str": yaml.SafeLoader.construct_yaml_str,
+    "seq": yaml.SafeLoader.construct_yaml_seq,
+    "map": yaml.SafeLoader.construct_yaml_map,
+}.items():
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _construct)
+_Loader.add_constructor(None, _Loader.construct_undefined)
+
+
+def read_settings(path: str | Path) -> dict[str, Any]:
+    """The settings that a study file holds (YAML or JSON; UTF-8, or UTF-16 with its mark).
+
+    Raises:
+        IksamplesError: The file cannot be read, or is not one mapping of names to settings.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise IksamplesError(f"{path}: cannot read the study file ({reason}).") from None
+    if len(content) > MOST_BYTES:
+        raise IksamplesError(f"{path}: over {MOST_BYTES // 1000} kB is no study file.")
+    try:
+        settings = yaml.load(content, _Loader)
+    except IksamplesError as error:
+        raise IksamplesError(f"{path}: {error}") from None
+    except RecursionError:
+        raise IksamplesError(f"{path}: sections inside sections without end.") from None
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
+        raise IksamplesError(f"{path}: {_in_words(error)}") from None
+    if not isinstance(settings, dict):
+        found = {type(None): "nothing", list: "a list"}.get(type(settings), "a value")
+        raise IksamplesError(
+            f"{path}: expected a mapping of settings such as 'name: my-study', found {found}."
+        )
+    return settings
+
+
+def typed(value: Any) -> Any:
+    """Settings whose scalars are still text, as Snakemake's ``--config`` gives, read as above."""
+    if isinstance(value, dict):
+        return {key: typed(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [typed(one) for one in value]
+    if not isinstance(value, str):
+        return value
+    loader = _Loader("")
+    return loader.construct_object(
+        yaml.ScalarNode(loader.resolve(yaml.ScalarNode, value, (True, False)), value)
+    )
+
+
+def _mistake(node: Any, what: str) -> IksamplesError:
+    mark = node.start_mark
+    return IksamplesError(f"line {mark.line + 1}: {what}." if mark else f"{what}.")
+
+
+def _in_words(error: Exception) -> str:
+    """What PyYAML says, on one line and with the line of the file."""
+    if isinstance(error, yaml.composer.ComposerError) and "single document" in str(error):
+        assert error.problem_mark
+        return f"line {error.problem_mark.line + 1} begins a second study; a file holds one."
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark:
+        problem = (error.problem or error.context or "").replace("\\t", "a tab")
+        return f"not a YAML file (line {error.problem_mark.line + 1}: {problem})."
+    if isinstance(error, yaml.reader.ReaderError | UnicodeDecodeError):
+        return f"not a text file in UTF-8 ({' '.join(str(error).split())})."
+    return f"not a YAML file ({' '.join(str(error).split())})."
 
 
 _MOST_SETTINGS = 20_000

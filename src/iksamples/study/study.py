@@ -8,11 +8,35 @@ from pydantic import Field, field_serializer, model_validator
 
 from iksamples.study.arm import Arm
 from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
-from iksamples.study.readings import Readings
-from iksamples.study.robot import Asked, Robot, Workspace
-from iksamples.study.samples import TENSOR, Samples, grid_shape
-from iksamples.study.section import Name, Section, StudyName, without_password
+from iksamples.study.recorded import TENSOR, Samples, grid_shape
+from iksamples.study.sections import (
+    Asked,
+    Name,
+    Robot,
+    Section,
+    StudyName,
+    Workspace,
+    without_password,
+)
 from iksamples.study.training import Method, Network, Training
+
+
+class Readings(Section):
+    """A search over readings of the paper, and the best of them again with fresh seeds."""
+
+    count: int = Field(600, ge=1, le=20_000, description="Readings drawn at random.")
+    seeds: int = Field(
+        16,
+        ge=2,
+        le=1000,
+        description="Networks of each reading and grid in the search; 16 train as fast as one.",
+    )
+    best: int = Field(12, ge=1, le=1000, description="Best readings that are trained again.")
+    fresh_seeds: int = Field(
+        100, ge=2, le=10_000, description="Networks of each when it is trained again."
+    )
+    jobs: int = Field(8, ge=1, le=256, description="Jobs into which each of the two is cut.")
+    seed: int = Field(0, ge=0, lt=2**31, description="Seed of the draw.")
 
 
 NETWORK = "network"

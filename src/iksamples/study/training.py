@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from iksamples.study.section import Section
+from iksamples.study.sections import Section
 
 
 class Network(Section):

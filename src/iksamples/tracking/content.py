@@ -10,24 +10,22 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.collect import WORKSPACE, Variant, variants
 from iksamples.files import checked
-from iksamples.paper.table import paper_table
+from iksamples.paper.equations import paper_table
 from iksamples.results import Cell, networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
 
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 CURVE_POINTS = 100
 _STATISTICS = ("error_mean_mm", "error_p95_mm", "error_max_mm")
-_LOSSES = ("train_loss_rad2", "validation_loss_rad2")
+_LOSSES = ("train_loss", "validation_loss")
 
 Metric = tuple[str, float, int]
 """Name, value and step; a step is a number of samples, an epoch or a seed."""
@@ -70,7 +68,7 @@ class RunContent:
         return content.hexdigest()[:12]
 
 
-def study_runs(study: Study, results: Path, runs: "pd.DataFrame") -> Iterator[RunContent]:
+def study_runs(study: Study, results: Path, runs: pd.DataFrame) -> Iterator[RunContent]:
     """Every run of a study, parents before their children.
 
     Args:
@@ -107,7 +105,7 @@ def _variant_run(study: Study, variant: Variant, sizes: list[RunContent]) -> Run
     )
 
 
-def _size_run(study: Study, results: Path, variant: Variant, rows: "pd.DataFrame") -> RunContent:
+def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame) -> RunContent:
     """The run of a variant on one set of samples."""
     cell = Cell(results, variant.method, str(rows["label"].iloc[0]))
     first = rows.iloc[0]
@@ -192,7 +190,7 @@ def _settings(study: Study, variant: Variant) -> dict[str, str]:
     }
 
 
-def _errors(sound: "pd.DataFrame", n: int) -> Iterator[Metric]:
+def _errors(sound: pd.DataFrame, n: int) -> Iterator[Metric]:
     """Errors of one size: for each region means over the sound seeds, and what is proved."""
     for region in sound["region"].unique():
         rows = sound[sound["region"] == region]
@@ -207,14 +205,14 @@ def _is_error(metric: Metric) -> bool:
     return not metric[0].startswith(("loss/", "seeds/"))
 
 
-def _by_seed(sound: "pd.DataFrame") -> Iterator[Metric]:
+def _by_seed(sound: pd.DataFrame) -> Iterator[Metric]:
     """The errors of each seed, with the seed as step: seeds can be compared between runs."""
     for row in sound.to_dict("records"):
         for name in ("error_mean_mm", "error_max_mm"):
             yield f"seeds/{row['region']}_{name}", float(row[name]), int(row["seed"])
 
 
-def _losses(history: "pd.DataFrame") -> Iterator[Metric]:
+def _losses(history: pd.DataFrame) -> Iterator[Metric]:
     """The losses over the epochs, means over the seeds, thinned to some hundred points."""
     means = history.groupby("epoch", as_index=False)[list(_LOSSES)].mean()
     if means.empty:

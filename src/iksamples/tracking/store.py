@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from filelock import FileLock
 
 from iksamples.errors import IksamplesError
-from iksamples.study.section import without_password
+from iksamples.study.sections import without_password
 from iksamples.tracking.content import RunContent
 
 

@@ -25,7 +25,7 @@ from iksamples.export.write import ONNX_FILE, choose, export
 from iksamples.files import kept_file
 from iksamples.report.markdown import escaped
 from iksamples.study import Study
-from iksamples.study.section import without_password
+from iksamples.study.sections import without_password
 from iksamples.tracking.content import own_run, study_runs
 from iksamples.tracking.store import (
     Outcome,
@@ -157,7 +157,8 @@ def _note(study: Study, charts: str) -> str:
         f"[charts]({charts}).\n\n"
         f"{escaped(study.title)}\n\n"
         "One run per variant (a method on samples placed by a design), below it one per number of "
-        "samples. `seeds.csv` there has the errors of every network. Lengths in mm, losses in rad²."
+        "samples. `seeds.csv` there has the errors of every network. Lengths in mm, losses in rad² "
+        "(of prismatic joints by their output scale)."
     )
 
 

@@ -11,17 +11,109 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from iksamples.training import arguments, kernel, lanes
+from iksamples.training import kernel, lanes
 from iksamples.training.problem import Problem, learning_rates
-from iksamples.training.progress import Progress
-from iksamples.training.reference import BETA_1, BETA_2, EPSILON, StackedAdam
+from iksamples.training.reference import BETA_1, BETA_2, EPSILON, Progress, StackedAdam
+
+
+Array = NDArray[Any]
+
+
+class Data(NamedTuple):
+    """What a group of seeds learns from, a lane for each seed.
+
+    Attributes:
+        inputs: Shape (points, in).
+        targets: Shape (points, out).
+        train_rows: Rows each lane learns from, shape (lanes, n), int32.
+        validation_rows: Rows of its validation loss, shape (lanes, n_validation), int32.
+    """
+
+    inputs: Array
+    targets: Array
+    train_rows: Array
+    validation_rows: Array
+
+
+class Schedule(NamedTuple):
+    """The steps of a block of epochs.
+
+    Attributes:
+        batch_size: Samples per step.
+        first_epoch: First epoch of the block, counted from 1.
+        rates: Adam's step size, bias correction included, for each step of the block.
+        epsilons: Adam's epsilon, likewise.
+    """
+
+    batch_size: int
+    first_epoch: int
+    rates: Array
+    epsilons: Array
+
+
+class Group(NamedTuple):
+    """A group of seeds; all but the seeds is changed in place.
+
+    Flat arrays hold one vector of lanes per row: parameter p of the seed in lane k is
+    ``w[p * lanes + k]``.
+
+    Attributes:
+        seeds: Shape (lanes,), uint64.
+        w: Parameters, flat.
+        m: Mean of the gradients, flat.
+        v: Mean of their squares, flat.
+        kept: Parameters put aside, flat.
+        best_loss: Shape (lanes,).
+        counters: Best epoch, epochs since it, epochs since then or since the rate was halved, and
+            epoch of the stop, shape (4, lanes), int64.
+        factor: What the learning rate is multiplied with, shape (lanes,).
+    """
+
+    seeds: Array
+    w: Array
+    m: Array
+    v: Array
+    kept: Array
+    best_loss: Array
+    counters: Array
+    factor: Array
+
+
+class Filled(NamedTuple):
+    """What a block of epochs leaves behind.
+
+    Attributes:
+        history: Rows (epoch of the block, metric), flat.
+        slots: Where to put the snapshot of each epoch of the block, -1 for nowhere.
+        snapshots: Rows (slot, parameter), flat.
+    """
+
+    history: Array
+    slots: Array
+    snapshots: Array
+
+
+class Stopping(NamedTuple):
+    """What a seed's validation loss decides.
+
+    Attributes:
+        patience: Epochs without improvement that stop a seed; 0: never.
+        restore_best: Put aside the parameters of the best epoch, not those of the stop.
+        min_delta: Smallest improvement that counts.
+        plateau: Epochs without improvement that halve the learning rate; 0: never.
+    """
+
+    patience: int
+    restore_best: bool
+    min_delta: float
+    plateau: int
 
 
 LANES = 16
@@ -73,7 +165,7 @@ class FusedEngine:
 
         def handed(group: int) -> tuple[Any, ...]:
             return (
-                arguments.Data(
+                Data(
                     problem.inputs.astype(w.dtype, copy=False),
                     problem.targets.astype(w.dtype, copy=False),
                     train_rows[group],
@@ -81,13 +173,13 @@ class FusedEngine:
                 ),
                 np.array(problem.sizes),
                 kernel.ACTIVATIONS[problem.activation],
-                arguments.Schedule(settings.batch_size, first, rates, epsilons),
-                arguments.Group(
+                Schedule(settings.batch_size, first, rates, epsilons),
+                Group(
                     seeds[group],
                     *(part[group] for part in (w, m, v, kept, best_loss, counters, factor)),
                 ),
-                arguments.Filled(history[group].reshape(-1), slots, snapshots[group].reshape(-1)),
-                arguments.Stopping(
+                Filled(history[group].reshape(-1), slots, snapshots[group].reshape(-1)),
+                Stopping(
                     progress.patience,
                     progress.restore_best,
                     w.dtype.type(progress.min_delta),
@@ -184,9 +276,8 @@ def _dispatcher(cached: bool) -> Any:
 
     # numba's cache watches only the file of the function that it keeps; so its name carries the
     # content of all.
-    content = b"".join(
-        Path(str(module.__file__)).read_bytes() for module in (kernel, lanes, arguments)
-    )
+    sources = (kernel.__file__, lanes.__file__, __file__)
+    content = b"".join(Path(file).read_bytes() for file in sources)
     loop = kernel.train_group
     loop.__qualname__ = f"train_group_{hashlib.sha256(content).hexdigest()[:8]}"
     return numba.njit(nogil=True, cache=cached)(loop)

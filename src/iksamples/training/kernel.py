@@ -38,7 +38,7 @@ BETA_1, BETA_2 = 0.9, 0.999
 
 @numba.njit
 def shuffle(order, lane, seed, epoch, draws):  # type: ignore[no-untyped-def]
-    """Puts a lane's rows into the order of (seed, epoch); see the module ``shuffle``."""
+    """Puts a lane's rows into the order of (seed, epoch); see ``problem.permutations``."""
     golden = np.uint64(0x9E3779B97F4A7C15)
     start = _mix(_mix(seed + golden) + np.uint64(epoch))
     n = order.shape[1]
@@ -239,13 +239,13 @@ def train_group(  # type: ignore[no-untyped-def]
     """Trains one group of seeds for a block of epochs.
 
     Args:
-        data: An ``arguments.Data``.
+        data: An ``fused.Data``.
         sizes: Neurons of each layer, int64.
         activation: Number of the activation, see ``ACTIVATIONS``.
-        schedule: An ``arguments.Schedule``.
-        group: An ``arguments.Group``.
-        filled: An ``arguments.Filled``.
-        stopping: An ``arguments.Stopping``.
+        schedule: An ``fused.Schedule``.
+        group: An ``fused.Group``.
+        filled: An ``fused.Filled``.
+        stopping: An ``fused.Stopping``.
         lanes: A tuple as long as there are lanes.
         rows: A tuple as long as a tile is high.
     """

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from iksamples.training.problem import Problem
-from iksamples.training.progress import Progress
 from iksamples.training.reference import (
     ACTIVATIONS,
+    Progress,
     StackedAdam,
     forward,
     kernel_statistics,

@@ -1,8 +1,13 @@
-"""The Lightning module that trains all seeds of one sample set, and the call that fits it."""
+"""The Lightning module that trains all seeds of one sample set, and the call that fits it.
+
+Lightning costs a fraction of a millisecond per training step and a few per epoch, which is more
+than these networks need. So one Lightning epoch is one training step, and that step is a block of
+many epochs; the engine makes the mini-batches inside the block.
+"""
 
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,14 +15,71 @@ import pytorch_lightning as pl
 import torch
 from pytorch_lightning.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Sampler
 
 from iksamples.errors import IksamplesError
 from iksamples.training import record
-from iksamples.training.data import Block, EpochBlocks, block_length
-from iksamples.training.initial import initial_weights
-from iksamples.training.problem import Problem
-from iksamples.training.progress import Progress
-from iksamples.training.reference import ReferenceEngine, StackedAdam, forward, layers
+from iksamples.training.problem import Problem, initial_weights
+from iksamples.training.reference import Progress, ReferenceEngine, StackedAdam, forward, layers
+
+
+FEWEST_BLOCKS = 4
+"""Blocks that even the shortest training is cut into, for Lightning to have something to follow."""
+
+Block = tuple[int, int]
+"""First epoch (counted from 1) and number of epochs."""
+
+
+class EpochBlocks(pl.LightningDataModule):
+    """The samples of all seeds, and the blocks of epochs to train them for.
+
+    Attributes:
+        problem: The data of every seed.
+        blocks: All blocks in order; Lightning's epoch k trains ``blocks[k]``.
+    """
+
+    def __init__(self, problem: Problem, epochs_per_block: int) -> None:
+        """Cuts the problem's epochs into blocks."""
+        super().__init__()
+        self.problem = problem
+        epochs = problem.training.epochs
+        self.blocks: list[Block] = [
+            (first, min(epochs_per_block, epochs + 1 - first))
+            for first in range(1, epochs + 1, epochs_per_block)
+        ]
+
+    def train_dataloader(self) -> DataLoader[Block]:
+        """One block per Lightning epoch."""
+        return DataLoader(self.blocks, batch_size=None, sampler=_OneBlock())  # type: ignore[arg-type]
+
+
+def block_length(problem: Problem, pace: float) -> int:
+    """Epochs that take about a second, or a quarter of the training if that is less.
+
+    Args:
+        problem: What is trained.
+        pace: Parameters that the engine updates in a second, roughly.
+    """
+    updates = problem.n_seeds * problem.n_parameters * problem.steps_per_epoch
+    quarter = -(-problem.training.epochs // FEWEST_BLOCKS)
+    return max(1, min(quarter, int(pace / updates)))
+
+
+class _OneBlock(Sampler[int]):
+    """Draws the one block that belongs to the current Lightning epoch, also after a resume."""
+
+    def __init__(self) -> None:
+        self.epoch = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by Lightning before each of its epochs."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[int]:
+        yield self.epoch
+
+    def __len__(self) -> int:
+        return 1
 
 
 class Engine(Protocol):
@@ -102,7 +164,7 @@ class StackedTraining(pl.LightningModule):
         )
         last = self.progress.history[:, first + n_epochs - 2]
         for name, row in zip(record.METRICS[:2], last, strict=False):
-            self.log(name.removesuffix("_rad2"), torch.nanmean(row))
+            self.log(name, torch.nanmean(row))
         if self.progress.all_stopped():
             self.trainer.should_stop = True
 

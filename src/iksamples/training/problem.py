@@ -9,11 +9,90 @@ from numpy.typing import NDArray
 
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import HeldOut, Study, Training
-from iksamples.training.shuffle import HELD_OUT_EPOCH, permutations
 
 
 Singles = NDArray[np.float32]
 Index = NDArray[np.int32]
+
+
+def initial_weights(
+    sizes: Sequence[int], seeds: Sequence[int]
+) -> tuple[tuple[Singles, ...], tuple[Singles, ...]]:
+    """Glorot-uniform kernels and zero biases, as Keras' ``Dense`` starts.
+
+    A kernel of ``fan_in`` rows and ``fan_out`` columns is uniform between plus and minus
+    ``sqrt(6 / (fan_in + fan_out))`` (Glorot and Bengio, 2010, Eq. 16). The numbers of one layer of
+    one seed come from a counter-based generator keyed by (seed, layer), so they depend on nothing
+    else.
+
+    Args:
+        sizes: Neurons of each layer, from the inputs to the outputs.
+        seeds: One seed per network, non-negative.
+
+    Returns:
+        Kernels, one per layer, shape (seeds, in, out), and biases, shape (seeds, out).
+    """
+    kernels, biases = [], []
+    for layer, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+        limit = np.float32(np.sqrt(6.0 / (fan_in + fan_out)))
+        kernel = np.empty((len(seeds), fan_in, fan_out), np.float32)
+        for row, seed in enumerate(seeds):
+            generator = np.random.Generator(
+                np.random.Philox(key=np.array([seed, layer], np.uint64))
+            )
+            kernel[row] = generator.random((fan_in, fan_out), np.float32)
+        kernels.append((2 * kernel - 1) * limit)
+        biases.append(np.zeros((len(seeds), fan_out), np.float32))
+    return tuple(kernels), tuple(biases)
+
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+MIX_2 = np.uint64(0x94D049BB133111EB)
+
+HELD_OUT_EPOCH = 0
+"""Epochs of training count from 1; the permutation of epoch 0 chooses held-out samples."""
+
+
+def permutations(seeds: Sequence[int], epochs: Sequence[int], n: int) -> NDArray[np.int32]:
+    """The permutations of ``range(n)`` that the seeds use in the epochs, whatever the engine.
+
+    A permutation needs no state from the epoch before, so a seed's order does not depend on the
+    other seeds, and a resumed run goes on as if it had never stopped. The random numbers are those
+    of SplitMix64 (Steele, Lea and Flood, 2014) from a start that is hashed from the seed and the
+    epoch; they drive the Fisher-Yates shuffle (Knuth, vol. 2, algorithm P), and a number is brought
+    below a bound by multiplying and shifting (Lemire, 2019, without the rejection: with 32 random
+    bits the bias is below ``n / 2**32``).
+
+    Args:
+        seeds: Non-negative seeds.
+        epochs: Epochs, counted from 1.
+        n: Number of samples, below 2**31.
+
+    Returns:
+        Shape (seeds, epochs, n): the order of the samples.
+    """
+    seed = np.asarray(seeds, np.uint64)[:, None]
+    epoch = np.asarray(epochs, np.uint64)[None, :]
+    with np.errstate(over="ignore"):  # arithmetic modulo 2**64 is meant
+        start = mix(mix(seed + GOLDEN) + epoch)
+        order = np.empty((n, *start.shape), np.int32)
+        order[:] = np.arange(n, dtype=np.int32)[:, None, None]
+        rows, columns = np.indices(start.shape)
+        for i in range(n - 1, 0, -1):
+            bits = mix(start + np.uint64(i) * GOLDEN) >> np.uint64(32)
+            j = ((bits * np.uint64(i + 1)) >> np.uint64(32)).astype(np.intp)
+            chosen = order[j, rows, columns]
+            order[j, rows, columns] = order[i]
+            order[i] = chosen
+    return np.ascontiguousarray(np.moveaxis(order, 0, -1))
+
+
+def mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """SplitMix64's output function: a bijection of 64-bit numbers that scatters them."""
+    x = (x ^ (x >> np.uint64(30))) * MIX_1
+    x = (x ^ (x >> np.uint64(27))) * MIX_2
+    return x ^ (x >> np.uint64(31))
 
 
 @dataclass(frozen=True, eq=False)

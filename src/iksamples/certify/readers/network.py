@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import SerialChain
 from iksamples.arm.target import Target
-from iksamples.certify.checker import Claim, verify
 from iksamples.certify.compared import Measure
-from iksamples.certify.printing import degrees_down, degrees_up, point, rounded_down, rounded_up
+from iksamples.certify.proof import (
+    checked,
+    degrees_down,
+    degrees_up,
+    point,
+    rounded_down,
+    rounded_up,
+)
 from iksamples.certify.readers import checkpoint
 from iksamples.certify.readers.checkpoint import network_of
 from iksamples.certify.readers.layers import FileNetwork, Scaling
 from iksamples.certify.rounding import inference_slack, stored_slack
-from iksamples.certify.search import certify_stack
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.region import Region
@@ -292,16 +297,10 @@ def _proved(
     # and angles between rotations are metrics, so what it does to the tool can be added.
     rounding = stored_slack(network, chain, region, target, measure)
     allowance = inference_slack(network, chain, region, target, measure)
-    found = certify_stack(
-        network, chain, region, target=target, measure=measure, keep_leaves=True, **limits
-    )
+    found = checked(network, chain, region, target, measure, **limits)
     proved = []
-    for row, one in enumerate(found):
-        claim = Claim(
-            network, row, chain, region, one.upper, one.lower, one.argmax, target, measure
-        )
+    for row, (one, check) in enumerate(found):
         # What the checker itself has proved holds, also where the search stated less or more.
-        check = verify(claim, one.leaves)
         upper, lower, single = check.upper, check.lower, float(allowance[row])
         if not reading.exact:
             upper = math.nextafter(upper + rounding[row], math.inf)

@@ -1,12 +1,48 @@
-"""Certified numbers as text: rounded outward, and points that reproduce what is said of them."""
+"""Worst cases searched and then proved by the checker, and their numbers, rounded outward."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
+from typing import Any
+
+from iksamples.arm.chain import SerialChain
+from iksamples.arm.target import Target
+from iksamples.certify.checker import Claim, Verification, verify
+from iksamples.certify.compared import Measure
+from iksamples.certify.search import Certificate, certify_stack
+from iksamples.certify.table import Table
+from iksamples.network import StackedMLP
+from iksamples.region import Region
 
 
 _ANY = Context(prec=400)
 """Digits for every float64: the largest has 309 before the point."""
+
+
+def checked(
+    answers: StackedMLP | Table,
+    chain: SerialChain,
+    region: Region,
+    target: Target,
+    measure: Measure,
+    **search: Any,
+) -> Iterator[tuple[Certificate, Verification]]:
+    """The largest error of every network, and what the checker makes of it.
+
+    Args:
+        answers: The networks, or a look-up table.
+        chain: The arm.
+        region: The inputs.
+        target: What is asked of the tool.
+        measure: Which error.
+        **search: What ``certify_stack`` takes besides.
+    """
+    found = certify_stack(
+        answers, chain, region, target=target, measure=measure, keep_leaves=True, **search
+    )
+    for row, one in enumerate(found):
+        bounds = one.upper, one.lower, one.argmax
+        yield one, verify(Claim(answers, row, chain, region, *bounds, target, measure), one.leaves)
 
 
 def rounded_up(bound: float, decimals: int = 4) -> str:
