@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from iksamples.errors import IksamplesError
 from iksamples.samples.dataset import SampleSet
-from iksamples.samples.designs import fill_distance, full_grid, grid_spacing
+from iksamples.samples.designs import fill_distance, full_grid, grid_spacing, sobol
 from iksamples.samples.record import grid_samples, record_samples, region_points
 from iksamples.study import parse_study
 from iksamples.task import study_task
@@ -31,6 +32,15 @@ def test_fill_distance_of_a_grid_is_half_a_cells_diagonal():
     exact = np.sqrt(20**2 + 10**2 + 5**2) / 2
     assert fill_distance(grid, dense) == pytest.approx(exact)
     np.testing.assert_array_equal(grid_spacing(*box, 4), (20, 10, 5))
+
+
+@pytest.mark.parametrize("d", range(1, 7))
+def test_sobol_points_are_those_of_scipy_to_the_last_bit(d):
+    lower, upper = np.arange(d) - 3.0, np.arange(d) * 7.0 + 1.0
+    for n in (1, 2, 5, 4096):
+        drawn = qmc.Sobol(d, rng=np.random.default_rng([d, n])).random(4096)[:n]
+        points = sobol(lower, upper, n, np.random.default_rng([d, n]))
+        np.testing.assert_array_equal(points, lower + (upper - lower) * drawn)
 
 
 def test_fill_distance_of_the_samples_of_a_grid(study, task):

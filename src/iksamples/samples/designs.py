@@ -3,9 +3,20 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats
+
+
+_BITS = 30
+_POLYNOMIALS = (
+    (1, 0, (1,)),
+    (2, 1, (1, 3)),
+    (3, 1, (1, 3, 1)),
+    (3, 2, (1, 1, 1)),
+    (4, 1, (1, 1, 3, 3)),
+)
+"""Degree, inner factors and first direction numbers of the second to the sixth coordinate."""
 
 
 def full_grid(lower: ArrayLike, upper: ArrayLike, shape: int | Sequence[int]) -> Floats:
@@ -52,12 +63,36 @@ def latin_hypercube(
 
 
 def sobol(lower: ArrayLike, upper: ArrayLike, n: int, generator: np.random.Generator) -> Floats:
-    """Scrambled Sobol points in a box, shape (n, d) (Owen 1998, by SciPy)."""
-    from scipy.stats import qmc
+    """Scrambled Sobol points in a box of up to six edges, shape (n, d) (Owen 1998).
 
-    engine = qmc.Sobol(np.size(lower), rng=generator)
-    # Drawn as a whole power of two, which is what the sequence is balanced for.
-    return _in_box(lower, upper, engine.random_base2(int(np.ceil(np.log2(n))))[:n])
+    Direction numbers by Joe and Kuo (2008), scrambling by Matousek (1998). The points are those of
+    SciPy, whose ``scipy.stats`` takes longer to import than most steps need for all their work.
+    """
+    d, places = np.size(lower), 2 ** np.arange(_BITS)[::-1]
+    stream = generator.spawn(1)[0]
+    shift = stream.integers(2, size=(d, _BITS), dtype=np.uint32) @ places[::-1]
+    mix = np.tril(stream.integers(2, size=(d, _BITS, _BITS), dtype=np.uint32), -1) + np.eye(_BITS)
+    bits = _directions(d)[:, :, None] // places % 2
+    mixed = (bits @ mix.swapaxes(1, 2) % 2 @ places).astype(int)
+    # Neighbours differ by the direction of the last bit of their number (Antonov, Saleev 1979).
+    number = np.arange(1, n)
+    steps = mixed.T[np.log2(number & -number).astype(int)]
+    whole = np.bitwise_xor.accumulate(np.concatenate([shift[None].astype(int), steps]))
+    return _in_box(lower, upper, whole / 2**_BITS)
+
+
+def _directions(d: int) -> NDArray[np.int64]:
+    """The direction numbers of a Sobol sequence as integers of 30 bits, shape (d, 30)."""
+    rows = [[1] * _BITS]
+    for degree, inner, first in _POLYNOMIALS[: d - 1]:
+        row = list(first)
+        for j in range(degree, _BITS):
+            new = row[j - degree] ^ (row[j - degree] << degree)
+            for k in range(1, degree):
+                new ^= (inner >> (degree - 1 - k) & 1) * (row[j - k] << k)
+            row.append(new)
+        rows.append(row)
+    return np.array(rows) << np.arange(_BITS)[::-1]
 
 
 def _in_box(lower: ArrayLike, upper: ArrayLike, unit: Floats) -> Floats:
