@@ -39,6 +39,8 @@ def finished(settings: dict[str, Any], project: Path, paper: bool = True) -> Stu
     for method in certified(study):
         target = results / method / "certificates.csv"
         step("prove", file, *sets, "--method", method, "--folder", results / method, "-o", target)
+    if study.arm and not study.arm.repeats:
+        step("floor", file, *sets, "-o", results / "floor" / "errors.parquet")
     step("map", file, "--results", results)
     step("collect", file, "--results", results)
     if paper:

@@ -1,21 +1,26 @@
 """The answer over arms that are not their drawing: what no samples can beat, and who needs none."""
 
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from lxml import html
+from report_study import finished
 
-from iksamples.answer.answer import Answer, recommend
+from iksamples.answer.answer import Answer, read_answer, recommend
 from iksamples.answer.assess import answer, read_floor
 from iksamples.answer.replication import fresh_study
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.floor import OwnInverse, repeatability
 from iksamples.export.write import choose
+from iksamples.report.write import write_report
 from iksamples.results import certified
 from iksamples.samples.record import grid_samples, on_arms
 from iksamples.study import parse_study
 from iksamples.task import study_task
+from iksamples.text import known
 
 
 DEVIATES = {"deviation_mm": 1.0, "deviation_rad": 0.0175, "noise_mm": 0.1}
@@ -163,3 +168,50 @@ def test_no_network_of_a_simulated_arm_is_taken_away(tmp_path):
 def test_the_best_of_several_arms_is_no_question():
     with pytest.raises(IksamplesError, match="best_of"):
         arm_study(DEVIATES, tolerance={"best_of": 3})
+
+
+@pytest.mark.slow
+def test_a_report_over_arms_begins_with_their_floor_and_says_what_each_method_knows(
+    tmp_path, monkeypatch
+):
+    """A fitted drawing takes fewer samples than a grid has corners: its samples are its own."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(Path(__file__).parents[1] / "config")
+    fitted = {"kind": "calibrated", "design": "sobol"}
+    study = finished(
+        {
+            "name": "arms", "arm": SLIPS, "samples": {"sizes": [4, 8]},
+            "training": {"seeds": 2, "epochs": 10}, "evaluation": {"cube_points": 64},
+            "methods": {"drawn": {"kind": "nominal"}, "fitted": fitted,
+                        "table": {"kind": "multilinear"}},
+            "tolerance": {"success_share": 0.1, "confidence": 0.51, "error_mm": 8},
+        },
+        tmp_path, paper=False,
+    )  # fmt: skip
+    write_report(study, "results/arms", "reports/arms")
+    answer = read_answer("results/arms")
+    tried = {one.method: [size.n_samples for size in one.sizes] for one in answer.variants}
+    assert tried == {"network": [8], "drawn": [0], "fitted": [4, 8], "table": [8]}
+    text = Path("reports/arms/README.md").read_text().replace("\u00a0", " ")
+    assert 0 < text.index(answer.floor.sentence) < text.index(f"> {answer.headline}")
+    assert answer.floor.error_median_mm > 0.1
+    assert "Arms that meet it" in text
+    assert "Trainings" not in text
+    page = html.parse("reports/arms/index.html").getroot()
+    ladder = " ".join(page.xpath("//div[@id='figure-samples']//text()"))
+    for one in answer.variants:
+        assert known(study, one.method).splitlines()[1] in ladder
+        if one.status == "answered" and one.n_samples:
+            assert str(one.n_samples) in ladder
+    assert answer.variant("fitted").status == "answered"
+
+
+def test_methods_that_are_trained_share_the_studys_samples():
+    sobol = {"design": "sobol"}
+    assert arm_study({}, methods={"c": {"kind": "calibrated", **sobol}}).designs("c") == ["sobol"]
+    with pytest.raises(IksamplesError, match=r"methods\.c\.design"):
+        arm_study({}, methods={"c": {"kind": "network", **sobol}})
+    with pytest.raises(IksamplesError, match="corners"):
+        arm_study({}, samples={"sizes": [4, 8]})
+    with pytest.raises(IksamplesError, match="corners"):
+        arm_study({}, samples={"sizes": [4, 6]}, methods={"c": {"kind": "calibrated", **sobol}})

@@ -78,7 +78,8 @@ def _too_few_seeds(study: Study) -> list[str]:
 
 def _methods_without_samples(study: Study, sets: Sequence[SampleSet]) -> list[str]:
     names = [name for name, method in study.methods.items() if KINDS[method.kind].needs_grid]
-    labels = [samples.label for samples in sets if not _is_full_grid(samples)]
+    used = {design for name in names for design in study.designs(name)}
+    labels = [one.label for one in sets if one.design in used and not _is_full_grid(one)]
     if not labels or not names:
         return []
     what = "has" if len(names) == 1 else "have"

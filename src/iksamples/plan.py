@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
-from iksamples.study import Study
+from iksamples.study import NETWORK, Study
 from iksamples.text import several
 from iksamples.training.run import choose_engine
 
@@ -94,7 +94,7 @@ def plan_study(study: Study, n_joints: int, cached: dict[str, int] | None = None
         cached: Networks of each method that need not be trained again.
     """
     cached = cached or {}
-    sets = sample_sets(study)
+    sets = sample_sets(study, method=NETWORK)
     methods = [
         _training(study, n_joints, name, [n for _, n in sets.values()], cached.get(name, 0))
         for name in networks(study)
@@ -267,7 +267,10 @@ def _fit_seconds(study: Study, n_joints: int, n: int) -> float:
 
 def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[StepPlan]:
     """The workflow's steps, as if none of their files were there yet."""
-    n_sets, n_first = len(sample_sets(study)), len(sample_sets(study, study.samples.design))
+    n_sets, n_first = (
+        len(sample_sets(study, method=NETWORK)),
+        len(sample_sets(study, study.samples.design)),
+    )
     plans = {plan.method: plan for plan in methods}
     points = study.evaluation.cube_points + sum(
         count_waypoints(path) for path in study.evaluation.paths.values()
@@ -284,7 +287,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         per_network = _PROOF[method.training.optimizer] * weights / 115
         proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
     work = {
-        "samples": [_ADAPTIVE if "adaptive" in study.samples.designs else 0.02 * n_sets],
+        "samples": [_ADAPTIVE if "adaptive" in study.designs() else 0.02 * n_sets],
         "train": [sum(plan.seconds for plan in methods)],
         "evaluate": evaluations,
         "bounds": [0.01 * n_networks],

@@ -69,17 +69,20 @@ class Cell:
         return errors[~errors["seed"].isin(diverged)]
 
 
-def sample_sets(study: Study, design: Design | None = None) -> dict[str, tuple[Design, int]]:
+def sample_sets(
+    study: Study, design: Design | None = None, method: str | None = None
+) -> dict[str, tuple[Design, int]]:
     """Every set of samples of a study, smallest first: its name -> design and samples wanted.
 
     Args:
         study: The study.
         design: Only the sets of this design; None: of all.
+        method: Only the sets of this method; None: of all.
     """
     return {
         sample_label(study, kind, n): (kind, n)
-        for kind in ([design] if design else study.samples.designs)
-        for n in study.sizes
+        for kind in ([design] if design else study.designs(method))
+        for n in study.sizes_of(kind)
     }
 
 
@@ -101,6 +104,6 @@ def certified(study: Study) -> list[str]:
 def cells(
     study: Study, results: str | Path, method: str = NETWORK, design: Design | None = None
 ) -> Iterator[Cell]:
-    """A method on every set of samples of a design; by default of the study's first."""
-    for label in sample_sets(study, design or study.samples.design):
+    """A method on every set of samples of a design; by default of its first."""
+    for label in sample_sets(study, design or study.designs(method)[0]):
         yield Cell(Path(results), method, label)

@@ -1,6 +1,7 @@
 """Words of the answer: methods, lengths and shares as people write them."""
 
 import math
+import re
 from decimal import ROUND_CEILING, Decimal
 
 from iksamples.study import NETWORK, Method, Network, Robot, Study, Tolerance, Training
@@ -19,6 +20,12 @@ _OTHERS = {
     "calibrated": "the drawing fitted to the same samples",
     "trigonometric": "sines and cosines fitted to the same samples",
     "residual": "the drawing's inverse corrected by the same samples",
+}
+_KNOWN = {
+    "trigonometric": "that its joints turn",
+    "nominal": "its drawing",
+    "calibrated": "its drawing, and how much arms differ from it",
+    "residual": "its drawing",
 }
 _PLACED = {
     "grid": "on an even grid",
@@ -45,9 +52,17 @@ def described(study: Study, name: str) -> str:
     return f"the study's own network ({recipe})" if name == NETWORK else f"{name} ({recipe})"
 
 
+def known(study: Study, name: str) -> str:
+    """What a method is and what it knows of the arm before it has a sample, a line each."""
+    what = re.sub(r" \w+ the same samples", "", described(study, name))
+    if what.startswith(name):
+        what = f"a network ({name})"
+    return f"{what}\nknows {_KNOWN.get(study.all_methods[name].kind, 'nothing of the arm')}"
+
+
 def placed(study: Study, design: str) -> str:
     """Where samples lie, with a space in front; nothing to say where the study has one design."""
-    return "" if len(study.samples.designs) == 1 else f" {_PLACED.get(design, design)}"
+    return "" if study.samples.designs == [design] else f" {_PLACED.get(design, design)}"
 
 
 def trial(study: Study) -> str:

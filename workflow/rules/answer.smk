@@ -17,11 +17,11 @@ OUTPUTS
 rule collect:
     """One row per variant, set of samples, seed and region: errors and proved bounds."""
     input:
-        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
-        errors=expand(
-            "results/{{study}}/{method}/{samples}/errors.parquet",
-            method=STUDY.all_methods,
-            samples=LABELS,
+        samples=expand(
+            "results/{{study}}/samples/{samples}.parquet", samples=ALL_LABELS
+        ),
+        errors=of_each(
+            "results/{study}/{method}/{samples}/errors.parquet", STUDY.all_methods
         ),
         members=expand(
             "results/{{study}}/{method}/{samples}/members.parquet",

@@ -38,7 +38,9 @@ rule prove:
     """The worst and the mean error of a method over the workspace, proved for every network."""
     input:
         weights,
-        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+        samples=expand(
+            "results/{{study}}/samples/{samples}.parquet", samples=ALL_LABELS
+        ),
     output:
         "results/{study}/{method}/certificates.csv",
     log:

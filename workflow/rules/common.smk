@@ -99,6 +99,20 @@ def settings(*sections, **parts):
     return as_text
 
 
+def of_each(files, methods):
+    """Files of each method on each of its sets of samples; other wildcards stay."""
+    return [
+        file
+        for method in methods
+        for file in expand(
+            files,
+            method=method,
+            samples=sample_sets(STUDY, method=method),
+            allow_missing=True,
+        )
+    ]
+
+
 def results_folder(wildcards):
     """The study's folder of results."""
     return f"results/{wildcards.study}"
@@ -179,12 +193,14 @@ if "command" in tracked() and workflow.is_main_process:
     with contextlib.suppress(OSError):
         MANIFEST.unlink()
 
-LABELS = list(sample_sets(STUDY))
+# Of networks, and of all methods: one that is not trained can have its own.
+LABELS = list(sample_sets(STUDY, method="network"))
+ALL_LABELS = list(sample_sets(STUDY))
 FIRST_LABELS = list(sample_sets(STUDY, STUDY.samples.design))
 KINDS = {name: method.kind for name, method in STUDY.all_methods.items()}
 UNTRAINED = {name: kind for name, kind in KINDS.items() if kind != "network"}
 FLOOR = STUDY.arm is not None and not STUDY.arm.repeats
-ADAPTIVE = "adaptive" in STUDY.samples.designs
+ADAPTIVE = "adaptive" in STUDY.designs()
 
 # Of a module, Snakemake calls no `onstart`, and here it is not known yet whether this is a dry run.
 if not workflow.modifier.is_main_snakefile() and workflow.is_main_process:
@@ -195,7 +211,7 @@ if not workflow.modifier.is_main_snakefile() and workflow.is_main_process:
 wildcard_constraints:
     study=STUDY.name,
     network="|".join(networks(STUDY)),
-    samples="|".join(LABELS),
+    samples="|".join(ALL_LABELS),
     method="|".join(STUDY.all_methods),
     path="|".join(STUDY.evaluation.paths),
     part=r"\d+",

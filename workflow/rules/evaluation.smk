@@ -49,15 +49,16 @@ if UNTRAINED:
         """Measure the position error of tables, splines, kernels and the exact inverse."""
         input:
             samples=expand(
-                "results/{{study}}/samples/{samples}.parquet", samples=LABELS
+                "results/{{study}}/samples/{samples}.parquet", samples=ALL_LABELS
             ),
         output:
-            expand(
-                "results/{{study}}/{method}/{samples}/{table}.parquet",
-                method=UNTRAINED,
-                samples=LABELS,
-                table=["waypoints", "cube", "errors"],
-            ),
+            [
+                of_each(
+                    f"results/{{study}}/{{method}}/{{samples}}/{table}.parquet",
+                    UNTRAINED,
+                )
+                for table in ("waypoints", "cube", "errors")
+            ],
         log:
             "results/{study}/logs/evaluate/untrained.log",
         benchmark:

@@ -11,7 +11,7 @@ OUTPUTS
 rule samples:
     """Record every set of samples."""
     output:
-        expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+        expand("results/{{study}}/samples/{samples}.parquet", samples=ALL_LABELS),
     log:
         "results/{study}/logs/samples.log",
     benchmark:

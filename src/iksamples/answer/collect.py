@@ -63,7 +63,7 @@ def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     for name in study.all_methods:
         learns = KINDS[study.all_methods[name].kind].needs_samples
         # What needs no samples is the same whichever there are.
-        for design in study.samples.designs if learns else study.samples.designs[:1]:
+        for design in study.designs(name)[: None if learns else 1]:
             for cell in cells(study, results, name, design):
                 if cell.label not in sets:
                     sets[cell.label] = cell.samples

@@ -31,6 +31,7 @@ def check(study_file: StudyFile) -> None:
     from iksamples.region import Region
     from iksamples.results import networks, sample_sets
     from iksamples.samples.record import record_samples, region_points
+    from iksamples.study import NETWORK
 
     study, task = open_study(study_file)
     valid = f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}"
@@ -60,7 +61,7 @@ def check(study_file: StudyFile) -> None:
         f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}"
     )
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
-    trained = len(sets) * seeds
+    trained = len(sample_sets(study, method=NETWORK)) * seeds
     typer.echo(f"  {trained} networks to train")
     advise(study, task, all_recorded)
 

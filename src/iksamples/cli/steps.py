@@ -87,6 +87,8 @@ def evaluate(
     task = study_task(study, sets[0].region)
     for name in method:
         for samples in sets:
+            if samples.design not in study.designs(name):
+                continue
             cell = results / name / samples.label
             tables, why_not = measure(study, task, samples, name, cell)
             if why_not:
@@ -151,7 +153,9 @@ def prove(
     all_samples = load_samples(samples_files)
     task = study_task(study, all_samples[0].region)
     rows = [
-        certify(study, task, method, samples, folder / samples.label) for samples in all_samples
+        certify(study, task, method, samples, folder / samples.label)
+        for samples in all_samples
+        if samples.design in study.designs(method)
     ]
     with kept_file(output) as file:
         pd.concat(rows).to_csv(file, index=False)

@@ -12,6 +12,7 @@ from iksamples.report.data import ReportData
 from iksamples.report.markdown import code, number, percent
 from iksamples.report.run import differing
 from iksamples.study import NETWORK
+from iksamples.text import known, millimetres, placed
 
 
 _SHARE = "Error, % of that network's"
@@ -39,7 +40,11 @@ def answer(data: ReportData) -> dict[str, Any]:
         methods.append(
             head
             # A row per design would say the same of a method again and again.
-            | ({} if data.several_designs else {"What it is": one.description})
+            | (
+                {}
+                if data.several_designs
+                else {"What it is": one.description + placed(data.study, one.design)}
+            )
             | {
                 "Samples needed": _needed(data, one),
                 "Error [mm]": tried.tolerance_bound_mm,
@@ -147,14 +152,21 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
             how = "extrapolated" if one.status == "extrapolated" else "not enough"
         n = one.shown.n_samples if how == "not enough" else one.n_samples
         line = f"{one.method}, {one.design}" if data.several_designs else one.method
+        if data.study.arm:
+            line = known(data.study, one.method)
         if data.learns[one.method]:
             rows.append((how == "not enough", n, line, how))
+        elif data.study.arm:
+            off = millimetres(one.shown.tolerance_bound_mm)
+            rows.append((False, 0, line, f"none: off by up to {off}"))
     if not rows:
         return None
     rows.sort(key=lambda row: row[:2])
-    longest, height = max(len(line) for *_, line, _ in rows), 1.0 + 0.27 * len(rows)
+    lines = [part for *_, line, _ in rows for part in line.split("\n")]
+    longest = max(map(len, lines))
+    height, width = 1.0 + 0.27 * len(rows) + 0.12 * (len(lines) - len(rows)), 7.2
     figure, [[axis]] = figures.panels(
-        1, 1, height, 7.2, left=(0.3 + 0.072 * longest) / 7.2, right=0.97,
+        1, 1, height, width, left=(0.3 + 0.072 * longest) / width, right=0.97,
         bottom=0.8 / height, top=1 - 0.12 / height,
     )  # fmt: skip
     for how, (sign, look) in _AMOUNTS.items():
@@ -165,7 +177,10 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
             axis.annotate(
                 f"{sign}{n}", (n, y), (9, 0), textcoords="offset points", va="center", weight="bold"
             )
-    sizes = [data.compared["n_samples"], pd.Series([n for _, n, *_ in rows])]
+    for y, (_, n, _, how) in enumerate(rows):
+        if not n:  # no place on a logarithmic axis
+            axis.annotate(how, (0.01, y), xycoords=("axes fraction", "data"), va="center")
+    sizes = [data.compared["n_samples"], pd.Series([n for _, n, *_ in rows if n])]
     figures.scale([axis], "x", pd.concat(sizes), "")
     axis.set_xlim(right=2.0 * axis.get_xlim()[1])  # room for the last number
     axis.set_ylim(len(rows) - 0.5, -0.5)

@@ -155,7 +155,10 @@ class ReportData:
         file = self.results / "certificates.csv"
         if not file.exists():
             return pd.DataFrame()
-        table = pd.read_csv(checked(file)).drop(columns=["n_samples"])
+        table = pd.read_csv(checked(file))
+        if table.empty:  # arms that give way have none
+            return pd.DataFrame()
+        table = table.drop(columns=["n_samples"])
         own = self.own[["label", "seed", "n_samples", "error_max_mm"]]
         return own.merge(table[table["method"] == NETWORK], on=["label", "seed"])
 

@@ -140,8 +140,8 @@ def _by_size(data: ReportData, quantity: str) -> pd.DataFrame:
 def _mean_and_sd(data: ReportData) -> pd.DataFrame:
     """Error on the first path, mean ± standard deviation over the seeds, by method and size."""
     rows = data.runs[data.runs["region"] == data.first_path]
-    rows = rows[rows["design"] == data.study.samples.design]
-    by = rows.groupby(["method", "n_samples"], sort=False)["error_mean_mm"]
+    first = rows["method"].map(lambda name: data.study.designs(name)[0])
+    by = rows[rows["design"] == first].groupby(["method", "n_samples"], sort=False)["error_mean_mm"]
     cells = map(plus_minus, by.mean(), by.std(ddof=1))
     table = pd.Series(list(cells), index=by.mean().index).unstack().sort_index(axis=1)
     return _titled(table.reindex(by.mean().index.unique(0)).fillna("").reset_index())

@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+from itertools import chain
 from typing import Any
 
 from pydantic import Field, field_serializer, model_validator
 
 from iksamples.study.arm import Arm
 from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
-from iksamples.study.recorded import TENSOR, Samples, grid_shape
+from iksamples.study.recorded import TENSOR, Design, Samples, grid_shape
 from iksamples.study.sections import (
     Asked,
     Name,
@@ -109,6 +110,12 @@ class Study(Section):
 
     @model_validator(mode="after")
     def _names_exist(self) -> "Study":
+        for name, method in self.methods.items():
+            if method.design and (method.kind == "network" or self.samples.recorded):
+                raise ValueError(
+                    f"'methods.{name}.design' is for methods that are not trained, on samples that "
+                    "are computed; leave it out"
+                )
         if NETWORK in self.methods:
             raise ValueError(
                 f"methods: '{NETWORK}' is the study's own network; choose another name"
@@ -170,10 +177,12 @@ class Study(Section):
 
     @model_validator(mode="after")
     def _grids_differ(self) -> "Study":
-        if not any(design in TENSOR for design in self.samples.designs):
+        grids = [design for design in self.designs() if design in TENSOR]
+        if not grids:
             return self
         fewest, seen = 2 ** len(self.task.inputs), dict[tuple[int, ...], int]()
-        for n in self.sizes:
+        alone = len(grids) == len(self.designs())
+        for n in self.sizes if alone else self.sizes_of(grids[0]) or self.sizes[-1:]:
             if n < fewest:
                 raise ValueError(
                     f"'samples.sizes': {n} is less than the {fewest} corners of the workspace, the "
@@ -234,6 +243,17 @@ class Study(Section):
     def sizes(self) -> list[int]:
         """The sizes to compare, in samples, ascending; a grid may round them."""
         return self.samples.n_samples(len(self.task.inputs))
+
+    def sizes_of(self, design: Design) -> list[int]:
+        """The sizes that a design can have: a grid has the workspace's corners at least."""
+        fewest = 2 ** len(self.task.inputs) if design in TENSOR else 0
+        return [n for n in self.sizes if n >= fewest]
+
+    def designs(self, method: str | None = None) -> list[Design]:
+        """How the samples of a method are placed, or of all methods."""
+        of = [self.all_methods[method]] if method else self.all_methods.values()
+        each = [[one.design] if one.design else self.samples.designs for one in of]
+        return list(dict.fromkeys(chain.from_iterable(each)))
 
     def grid_shape(self, n: int) -> tuple[int, ...]:
         """Points along each side of the workspace of the grid that is nearest to n samples."""

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from iksamples.study.recorded import Design
 from iksamples.study.sections import Section
 
 
@@ -175,6 +176,11 @@ class Method(Section):
         "polynomial need a full grid), the drawing's inverse as it is (nominal), of the drawing "
         "fitted to the samples (calibrated) or corrected by a Gaussian process (residual), or a "
         "model that only knows that joints turn (trigonometric).",
+    )
+    design: Design | None = Field(
+        None,
+        description="How the samples of a method that is not trained are placed, where that is "
+        "another way than `samples.designs`; null: as they say.",
     )
     network: Network = Field(
         Network(), description="What differs from the study's `network` (kind: network)."

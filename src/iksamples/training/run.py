@@ -194,6 +194,8 @@ def _trainings(
     for method in networks(study):
         training = study.all_methods[method].training
         for samples in sample_sets:
+            if samples.design not in study.designs(method):
+                continue
             n_trained = training.n_trained(samples.n_samples)
             yield method, samples, study.for_method(method, n_trained)
 
