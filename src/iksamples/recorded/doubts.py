@@ -1,6 +1,6 @@
 """What is odd about records, by their rows: mixed units, repeats, outliers, branches, limits."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,11 @@ _WORDS = {
     1000.0: "m among mm",
     180 / np.pi: "rad among deg",
 }
+_LOOSE = 0.1
+_ROUNDS, _DAMPING = 12, 1e-9
 _MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
+_UNLIKE = {"mm": 5.0, "rad": 20.0}
+"""How many times farther one column may extend than another, before it is asked about."""
 _GROUP, _APART = 3, 20.0
 """Records in a group, and how many times farther out another one begins: units are mixed."""
 _NAMED_ROWS = 5
@@ -122,7 +126,7 @@ def _planes(key: Floats, values: Floats, sound: Flags) -> Floats:
     scale = np.subtract(*np.quantile(key[sound], [0.75, 0.25], axis=0))
     scaled = key / np.where(scale > 0, scale, 1)
     among = np.flatnonzero(sound)
-    k = min(2 * (key.shape[1] + 1), len(among) - 1)
+    k = min(3 * (key.shape[1] + 1), len(among) - 1)
     _, near = KDTree(scaled[sound]).query(scaled, k=k + 1)
     near = among[near]
     # The record itself has no part in its own plane.
@@ -131,7 +135,18 @@ def _planes(key: Floats, values: Floats, sound: Flags) -> Floats:
     near = near[~itself].reshape(len(key), k)
     step = scaled[near] - scaled[:, None]
     design = np.concatenate([np.ones((*step.shape[:2], 1)), step], axis=2)
-    return (np.linalg.pinv(design, rcond=1e-3) @ values[near])[:, 0]
+    there = values[near] - values[:, None]
+    weight = np.ones((*step.shape[:2], 1))
+    for _ in range(_ROUNDS):  # of least squares, weighted so that they add up distances
+        turned = np.swapaxes(weight * design, 1, 2)
+        gram = turned @ design
+        damped = gram + _DAMPING * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(
+            design.shape[2]
+        )
+        plane = np.linalg.solve(damped, turned @ there)
+        left = np.linalg.norm(there - design @ plane, axis=2, keepdims=True)
+        weight = 1 / np.maximum(left, 1e-3 * left.max(axis=1, keepdims=True) + 1e-12)
+    return values + plane[:, 0]
 
 
 def _odd(missed: Floats, floor: float) -> Flags:
@@ -200,6 +215,24 @@ def _implausible(recording: Recording) -> Iterator[str]:
                 f"{path}: the {what} are of two sizes, {ratio[at]:.3g} times apart; are units "
                 f"mixed? The small ones: {_rows(recording, small)}."
             )
+    enough = 3 * (recording.joints.shape[1] + 1)
+    if len(recording) < enough:
+        yield (
+            f"odd records are told by those near by, which takes {enough} of them at least; there "
+            f"are {len(recording)}."
+        )
+    kinds: list[tuple[Sequence[str], Floats, str]] = [
+        (recording.inputs, where, "mm"),
+        (np.array(recording.joint_names)[turns].tolist(), angles, "rad"),
+    ]
+    for called, values, unit in kinds:
+        extent = np.ptp(values, axis=0)
+        if extent.size and extent.max() > _UNLIKE[unit] * extent.min():
+            few, much = (called[int(i)] for i in (extent.argmin(), extent.argmax()))
+            yield (
+                f"{few} extends over {extent.min():.3g} {unit} and {much} over {extent.max():.3g}: "
+                "if that is not what you recorded, one is in another unit than its column says."
+            )
     lever_mm = np.ptp(where, axis=0).max() / max(float(np.ptp(angles, axis=0).max()), 1e-12)
     reach_mm = float(np.linalg.norm(where, axis=1).max())
     if (angles.size and not 0.05 < lever_mm / reach_mm < 20) or reach_mm < _SHORTEST_MM:
@@ -225,6 +258,13 @@ def _doubts(
             f"{len(rows)} of {n} records have the tool much farther from where {by} than the rest "
             f"(median {np.median(missed):.3g} mm), {missed[rows[0]]:.3g} mm at most; kept, the "
             f"farthest first: {_rows(recording, rows)}."
+        )
+    spread = float(np.median(np.ptp(_positions(recording), axis=0)))
+    if drawing is None and np.median(missed) > _LOOSE * spread:
+        yield (
+            f"positions hardly follow from the joints (half of them are {np.median(missed):.3g} mm "
+            "off those of records near by, or more), so that odd ones cannot be told: is a joint's "
+            "column missing, or are there few records?"
         )
     turns = np.array([unit == "rad" for unit in recording.joint_units])
     turn = recording.joints[:, turns]
