@@ -210,7 +210,7 @@ def cost(title: str, cases: list[Case], rtol: float, asked: dict) -> None:
 
 def plain_answer(stack: StackedMLP, points: np.ndarray) -> np.ndarray:
     """Joint values, shape (points, joints)."""
-    hidden = (points - stack.offset_mm) / stack.scale_mm
+    hidden = (points - stack.offset) / stack.scale
     for depth, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
         hidden = hidden @ np.float64(weight[0]) + np.float64(bias[0])
         if depth + 1 < len(stack.weights):
@@ -342,8 +342,8 @@ def lirpa_bounds(stack: StackedMLP) -> Callable[[torch.Tensor, torch.Tensor], to
             self.tip.weight.data = links
             self.tip.bias.data = torch.tensor([0.0, 0.0, 70.0])
             self.own = torch.nn.Linear(3, 3)
-            self.own.weight.data = torch.diag(torch.tensor(np.float32(stack.scale_mm)))
-            self.own.bias.data = torch.tensor(np.float32(stack.offset_mm))
+            self.own.weight.data = torch.diag(torch.tensor(np.float32(stack.scale)))
+            self.own.bias.data = torch.tensor(np.float32(stack.offset))
 
         def forward(self, share: torch.Tensor) -> torch.Tensor:
             return self.tip(torch.sin(self.sums(self.net(share)))) - self.own(share)

@@ -140,7 +140,7 @@ def turned_away(chain, target, joints, points):
 
 def plain_answer(network, row, points):
     """The network's answers, layer by layer."""
-    hidden = (np.asarray(points, float) - network.offset_mm) / network.scale_mm
+    hidden = (np.asarray(points, float) - network.offset) / network.scale
     last = len(network.weights) - 1
     for depth in range(last + 1):
         hidden = np.einsum("pi,io->po", hidden, np.float64(network.weights[depth][row]))

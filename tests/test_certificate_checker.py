@@ -386,7 +386,7 @@ def test_what_is_no_network_is_not_checked(rng, broken):
     elif broken == "gelu":
         stack = replace(stack, activation="gelu")
     elif broken == "no scale":
-        stack.scale_mm[0] = 0
+        stack.scale[0] = 0
     elif broken == "torn":
         stack = replace(stack, biases=(stack.biases[0][:, :3], stack.biases[1]))
     elif broken == "row":
@@ -427,7 +427,7 @@ def test_the_lower_bound_is_an_error_that_is_taken():
     with mpmath.workdps(50):
         hidden = [
             (exact(x) - exact(o)) / exact(s)
-            for x, o, s in zip(certificate.argmax, stack.offset_mm, stack.scale_mm, strict=True)
+            for x, o, s in zip(certificate.argmax, stack.offset, stack.scale, strict=True)
         ]
         for depth in range(2):
             weight, bias = stack.weights[depth][0], stack.biases[depth][0]
@@ -501,7 +501,7 @@ def test_single_precision_stays_within_its_slack(rng, activation):
 
 def in_single_precision(stack, points):
     """A network's answers with every number and operation in float32."""
-    hidden = (np.float32(points) - np.float32(stack.offset_mm)) / np.float32(stack.scale_mm)
+    hidden = (np.float32(points) - np.float32(stack.offset)) / np.float32(stack.scale)
     for depth, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
         hidden = hidden @ weight[0] + bias[0]
         if depth + 1 < len(stack.weights):

@@ -89,9 +89,9 @@ def deeper(stack, rng):
 
 def elsewhere(stack, rng):
     """Normalised otherwise: by a power of two that the first layer takes off again."""
-    size = 2.0 ** rng.integers(-20, 21, len(stack.scale_mm))
+    size = 2.0 ** rng.integers(-20, 21, len(stack.scale))
     weights = (stack.weights[0] * np.float32(size[:, None]), *stack.weights[1:])
-    return replace(stack, weights=weights, scale_mm=stack.scale_mm * size)
+    return replace(stack, weights=weights, scale=stack.scale * size)
 
 
 WAYS = {

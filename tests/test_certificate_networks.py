@@ -92,12 +92,12 @@ def test_networks_and_arms_that_do_not_fit(chain, rng):
     torn = random_network(rng, (3, 4, 3), "relu")
     torn = type(torn)(
         (torn.weights[0], torn.weights[1][:, :3]), torn.biases, "relu",
-        torn.offset_mm, torn.scale_mm, torn.seeds,
+        torn.offset, torn.scale, torn.seeds,
     )  # fmt: skip
     with pytest.raises(IksamplesError, match="fit"):
         certify_sup(torn, 0, chain, Region.box(LOWER, UPPER))
     whole = random_network(rng, (3, 4, 3), "relu")
-    whole.scale_mm[1] = 0.0
+    whole.scale[1] = 0.0
     with pytest.raises(IksamplesError, match="normalisation"):
         certify_sup(whole, 0, chain, Region.box(LOWER, UPPER))
 

@@ -151,8 +151,8 @@ def test_a_chain_that_turns_with_what_is_asked_is_off_by_a_constant():
     weights = (np.float32([[[0.0], [0.0], [1.0]]]),)
     stack = random_network(np.random.default_rng(0), (3, 1), "relu")
     stack = replace(
-        stack, weights=weights, biases=(np.float32([[0.25]]),), offset_mm=np.zeros(3),
-        scale_mm=np.ones(3),
+        stack, weights=weights, biases=(np.float32([[0.25]]),), offset=np.zeros(3),
+        scale=np.ones(3),
     )  # fmt: skip
     region = Region.box((-50, -50, -1), (50, 50, 1))
     for orientation, exact in (("fixed", 0.25), ("axis", 0.0)):
@@ -227,7 +227,7 @@ def test_stacks_and_single_precision_of_angles(rng):
         one = stack.select([row])
         exact = plain_answer(one, 0, points)
         assert turned_away(chain, target, exact, points).max() <= found.upper
-        hidden = (np.float32(points) - np.float32(one.offset_mm)) / np.float32(one.scale_mm)
+        hidden = (np.float32(points) - np.float32(one.offset)) / np.float32(one.scale)
         for depth in range(2):
             hidden = hidden @ one.weights[depth][0] + one.biases[depth][0]
             hidden = np.maximum(hidden, 0) if depth == 0 else hidden

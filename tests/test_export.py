@@ -61,7 +61,7 @@ def finished(folder, rng, **settings):
             low, high = np.array(study.workspace.lower), np.array(study.workspace.upper)
             stack = random_network(rng, (3, 6, 3), activation, n=3, lower=low, upper=high)
             StackedMLP(
-                stack.weights, stack.biases, activation, stack.offset_mm, stack.scale_mm, SEEDS
+                stack.weights, stack.biases, activation, stack.offset, stack.scale, SEEDS
             ).save(cell.folder / "weights.safetensors")
             for k, seed in enumerate(SEEDS):
                 error = 10.0 * abs(k - 1) + 30.0 / m + (method == "bent")

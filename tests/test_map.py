@@ -60,8 +60,8 @@ def cell(small: Study, tmp_path: Path) -> Cell:
     shares = np.array([0.0, 0.5, 0.9, 1.0])
     tensors: dict[str, Any] = {
         "epochs": EPOCHS,
-        "offset_mm": samples.offset,
-        "scale_mm": samples.scale,
+        "offset": samples.offset,
+        "scale": samples.scale,
     }
     for i, (weight, shift) in enumerate(((w0, b0), (w1, b1))):
         share = shares if i else np.ones(4)

@@ -9,11 +9,11 @@ from scipy.interpolate import CubicSpline
 
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
-from iksamples.methods import gaussian_process, rbf
 from iksamples.methods import predictor as predictor_module
+from iksamples.methods import scattered
+from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.methods.registry import KINDS, fit
-from iksamples.methods.tensor import tensor_grid
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import MethodKind, parse_study
 from iksamples.task import study_task
@@ -223,7 +223,7 @@ def test_gaussian_process_is_the_posterior_mean_at_the_likeliest_kernel(study, t
         points,
         task.reach(points).joints,
     )
-    kernel = gaussian_process.regressor(samples).kernel_
+    kernel = scattered.regressor(samples).kernel_
     variance, length = kernel.k1.constant_value, kernel.k2.length_scale
     inputs = (points - points.min(axis=0)) / np.ptp(points, axis=0)
     centre, spread = samples.joints.mean(axis=0), samples.joints.std(axis=0)
@@ -249,7 +249,7 @@ def test_gaussian_process_is_the_posterior_mean_at_the_likeliest_kernel(study, t
 
 
 def test_gaussian_process_tuned_on_some_samples_still_uses_all(study, task, monkeypatch):
-    monkeypatch.setattr(gaussian_process, "MOST_TO_TUNE", 40)
+    monkeypatch.setattr(scattered, "MOST_TO_TUNE", 40)
     samples = grid_samples(study, task, 5)
     answer = fit("gaussian-process", task, samples).predict(samples.x)[0]
     np.testing.assert_allclose(answer, samples.joints, rtol=0, atol=1e-6)
@@ -314,9 +314,9 @@ def test_rbf_names_coinciding_and_flat_samples(study, task):
         fit("rbf", task, with_points(samples, flat, samples.joints))
 
 
-@pytest.mark.parametrize(("kind", "module"), [("rbf", rbf), ("gaussian-process", gaussian_process)])
-def test_dense_methods_refuse_what_they_cannot_hold(kind, module, study, task, monkeypatch):
-    monkeypatch.setattr(module, "MOST_SAMPLES", 26)
+@pytest.mark.parametrize("kind", ["rbf", "gaussian-process"])
+def test_dense_methods_refuse_what_they_cannot_hold(kind, study, task, monkeypatch):
+    monkeypatch.setattr(scattered, "MOST_SAMPLES", 26)
     with pytest.raises(NotApplicableError, match="grid3 has 27 samples, more than the 26"):
         fit(kind, task, grid_samples(study, task, 3))
 

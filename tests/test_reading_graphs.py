@@ -192,8 +192,8 @@ def test_a_scaling_of_the_inputs_stays_what_it_is(rng, tmp_path):
     reading = load_network(tmp_path / "net.onnx", (3, 3))
     assert reading.exact
     assert not reading.folded
-    np.testing.assert_array_equal(reading.network.offset_mm, constants["offset"])
-    np.testing.assert_array_equal(reading.network.scale_mm, constants["scale"])
+    np.testing.assert_array_equal(reading.network.offset, constants["offset"])
+    np.testing.assert_array_equal(reading.network.scale, constants["scale"])
     more = [("Mul", "_", "scale"), *steps]
     save(model(chain(*more), constants, kind=TensorProto.FLOAT), tmp_path / "more.onnx")
     assert load_network(tmp_path / "more.onnx", (3, 3)).folded

@@ -86,8 +86,8 @@ def results(small: Study, rng: np.random.Generator, tmp_path: Path) -> list[Cell
             {
                 **tensors,
                 "epochs": EPOCHS,
-                "offset_mm": samples.offset,
-                "scale_mm": samples.scale,
+                "offset": samples.offset,
+                "scale": samples.scale,
             },
             {"activation": "relu", "seeds": list(SEEDS)},
         )
@@ -277,8 +277,8 @@ def test_long_paths_and_trainings_are_thinned(
         "layers.0.weight": np.arange(200, dtype="float32").reshape(200, 1, 1, 1),
         "layers.0.bias": np.zeros((200, 1, 1), "float32"),
         "epochs": np.arange(1, 201),
-        "offset_mm": np.zeros(1),
-        "scale_mm": np.ones(1),
+        "offset": np.zeros(1),
+        "scale": np.ones(1),
     }
     write_tensors(tmp_path / "s", snapshots, {"activation": "relu", "seeds": [9]})
     epochs, networks = networks_over_epochs(tmp_path / "s", 9)

@@ -68,7 +68,7 @@ def test_files_agree_with_each_other_and_with_the_samples(tmp_path, source):
         assert sorted(path.name for path in folder.glob("[!.]*")) == sorted(FILES)
         network = StackedMLP.load(folder / "weights.safetensors")
         assert network.seeds == (4, 5, 6)
-        np.testing.assert_array_equal(network.scale_mm, samples.scale)
+        np.testing.assert_array_equal(network.scale, samples.scale)
 
         members = pd.read_parquet(folder / "members.parquet")
         problem = pose_problem(study, samples, study.seeds)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from iksamples.evaluation.paths import waypoints
+from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import KINDS
-from iksamples.methods.tensor import tensor_grid
 from iksamples.results import networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.stats import met_needed, seeds_needed, single_share

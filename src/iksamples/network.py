@@ -27,23 +27,23 @@ ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
 class StackedMLP:
     """Networks of one shape that differ by seed, stacked along a leading axis.
 
-    A position is normalised, ``(x - offset_mm) / scale_mm``, and sent through dense layers with an
+    An input is normalised, ``(x - offset) / scale``, and sent through dense layers with an
     activation between them; the last layer is linear and gives joint values (paper, Eq. 9 and 10).
 
     Attributes:
         weights: One array per layer, shape (seeds, in, out).
         biases: One array per layer, shape (seeds, out).
         activation: Key of ``ACTIVATIONS``.
-        offset_mm: What the normalisation subtracts [mm], shape (in,).
-        scale_mm: What the normalisation divides by [mm], shape (in,).
+        offset: What the normalisation subtracts [mm or rad], shape (in,).
+        scale: What the normalisation divides by [mm or rad], shape (in,).
         seeds: The seed of each stacked network.
     """
 
     weights: tuple[Weights, ...]
     biases: tuple[Weights, ...]
     activation: str
-    offset_mm: Floats
-    scale_mm: Floats
+    offset: Floats
+    scale: Floats
     seeds: tuple[int, ...]
 
     @property
@@ -51,16 +51,16 @@ class StackedMLP:
         """Number of stacked networks."""
         return len(self.seeds)
 
-    def predict(self, positions_mm: ArrayLike) -> Floats:
+    def predict(self, x: ArrayLike) -> Floats:
         """Joint values that the networks answer with, evaluated in float64.
 
         Args:
-            positions_mm: Positions [mm], shape (points, in).
+            x: Inputs [mm or rad], shape (points, in).
 
         Returns:
             Joint values [rad or mm], shape (seeds, points, joints).
         """
-        hidden = (np.asarray(positions_mm, float) - self.offset_mm) / self.scale_mm
+        hidden = (np.asarray(x, float) - self.offset) / self.scale
         for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             hidden = hidden @ weight.astype(float) + bias.astype(float)[:, None, :]
             if depth < len(self.weights) - 1:
@@ -84,7 +84,7 @@ class StackedMLP:
 
     def save(self, path: str | Path) -> None:
         """Writes the stack as a safetensors file, which runs no code when it is loaded."""
-        tensors = {"offset_mm": self.offset_mm, "scale_mm": self.scale_mm}
+        tensors = {"offset": self.offset, "scale": self.scale}
         for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
@@ -99,8 +99,8 @@ class StackedMLP:
             tuple(tensors[f"layers.{depth}.weight"] for depth in depths),
             tuple(tensors[f"layers.{depth}.bias"] for depth in depths),
             header["activation"],
-            tensors["offset_mm"],
-            tensors["scale_mm"],
+            tensors["offset"],
+            tensors["scale"],
             tuple(header["seeds"]),
         )
 

@@ -40,7 +40,7 @@ class Network:
         """
         weights = [np.array(weight[row], np.float64) for weight in network.weights]
         biases = [np.array(bias[row], np.float64) for bias in network.biases]
-        offset, scale = (np.array(v, np.float64) for v in (network.offset_mm, network.scale_mm))
+        offset, scale = (np.array(v, np.float64) for v in (network.offset, network.scale))
         widths = [len(offset), *(len(bias) for bias in biases)]
         if not (
             0 <= row < network.n_seeds

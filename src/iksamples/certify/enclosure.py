@@ -120,8 +120,8 @@ def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) 
     relu = layers.activation == "relu"
     split = (1 + d, 1 + d if relu else 1 + d + len(pairs(d)[0]))
 
-    centre = (centre_mm - layers.offset_mm) / layers.scale_mm
-    linear = (radius_mm / layers.scale_mm)[:, :, None] * layers.weight(0, which)
+    centre = (centre_mm - layers.offset) / layers.scale
+    linear = (radius_mm / layers.scale)[:, :, None] * layers.weight(0, which)
     rows = np.zeros((batch, split[1], linear.shape[2]))
     rows[:, :1] = layers.through(centre[:, None, :], 0, which)
     rows[:, 1 : split[0]] = linear

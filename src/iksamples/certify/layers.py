@@ -23,15 +23,15 @@ class Layers:
         weights: One array per layer, shape (networks, in, out).
         biases: One array per layer, shape (networks, out).
         activation: ``"relu"`` or ``"tanh"``.
-        offset_mm: What the normalisation subtracts [mm], shape (in,).
-        scale_mm: What the normalisation divides by [mm], shape (in,).
+        offset: What the normalisation subtracts [mm or rad], shape (in,).
+        scale: What the normalisation divides by [mm or rad], shape (in,).
     """
 
     weights: tuple[Floats, ...]
     biases: tuple[Floats, ...]
     activation: str
-    offset_mm: Floats
-    scale_mm: Floats
+    offset: Floats
+    scale: Floats
 
     @classmethod
     def of(cls, network: StackedMLP) -> "Layers":
@@ -50,10 +50,10 @@ class Layers:
             tuple(np.asarray(weight, float) for weight in network.weights),
             tuple(np.asarray(bias, float) for bias in network.biases),
             network.activation,
-            np.asarray(network.offset_mm, float),
-            np.asarray(network.scale_mm, float),
+            np.asarray(network.offset, float),
+            np.asarray(network.scale, float),
         )
-        width = len(layers.offset_mm)
+        width = len(layers.offset)
         for depth, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
             if weight.shape[1] != width or weight.shape[::2] != bias.shape:
                 raise IksamplesError(
@@ -67,12 +67,12 @@ class Layers:
                         f"network {row} of the stack has a weight or bias that is not finite in "
                         f"layer {depth}; a diverged network has no worst case."
                     )
-        if layers.scale_mm.shape != layers.offset_mm.shape or not (
-            np.isfinite(layers.offset_mm).all()
-            and np.isfinite(layers.scale_mm).all()
-            and (layers.scale_mm != 0).all()
+        if layers.scale.shape != layers.offset.shape or not (
+            np.isfinite(layers.offset).all()
+            and np.isfinite(layers.scale).all()
+            and (layers.scale != 0).all()
         ):
-            raise IksamplesError("the network's normalisation (offset_mm, scale_mm) is not finite.")
+            raise IksamplesError("the network's normalisation (offset, scale) is not finite.")
         return layers._balanced() if layers.activation == "relu" else layers
 
     def _balanced(self) -> "Layers":
@@ -132,17 +132,17 @@ class Layers:
         """Encloses the networks' answers over boxes (``enclosure.expand``)."""
         return expand(self, which, centre, radius)
 
-    def predict(self, positions_mm: Floats, which: Ints) -> Floats:
+    def predict(self, x: Floats, which: Ints) -> Floats:
         """Joint values at single points.
 
         Args:
-            positions_mm: Positions [mm], shape (points, in).
+            x: Inputs [mm or rad], shape (points, in).
             which: The network that each point is for, shape (points,).
 
         Returns:
             Joint values [rad or mm], shape (points, joints).
         """
-        hidden = ((positions_mm - self.offset_mm) / self.scale_mm)[:, None, :]
+        hidden = ((x - self.offset) / self.scale)[:, None, :]
         for depth in range(len(self.weights)):
             hidden = self.through(hidden, depth, which)
             hidden[:, 0] += self.bias(depth, which)

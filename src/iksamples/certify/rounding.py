@@ -173,12 +173,12 @@ def rounding_mm(
         Bounds [mm], shape (boxes,); infinite where something may overflow.
     """
     with np.errstate(all="ignore"):  # what overflows is infinite in the end
-        ends, offset, scale = np.abs(centre) + radius, layers.offset_mm, np.abs(layers.scale_mm)
+        ends, offset, scale = np.abs(centre) + radius, layers.offset, np.abs(layers.scale)
         size = np.abs(centre - offset) + radius
         # Three rounded inputs, a difference, a quotient; 1 + 8 unit covers products of roundings.
         error = form.unit * (1 + 8 * form.unit) * (ends + np.abs(offset) + 4.0 * size) / scale
         error = error + 4.0 * form.tiny * (1.0 + 1.0 / scale)
-        middle, half = (centre - offset) / layers.scale_mm, radius / scale
+        middle, half = (centre - offset) / layers.scale, radius / scale
         own, slopes, largest = [error], [], np.zeros(len(which))
         for depth in range(len(layers.weights)):
             weight, bias = layers.weight(depth, which), layers.bias(depth, which)

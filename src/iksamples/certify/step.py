@@ -19,8 +19,8 @@ from iksamples.certify.search import Certificate, certify_stack
 from iksamples.certify.table import Table
 from iksamples.columns import certificate_columns
 from iksamples.evaluation.errors import median_seed, networks_over_epochs
+from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError
-from iksamples.methods.tensor import tensor_grid
 from iksamples.network import StackedMLP
 from iksamples.results import Cell
 from iksamples.samples.dataset import SampleSet

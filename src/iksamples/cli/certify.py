@@ -232,7 +232,7 @@ def certify(
     if any(one.upper == math.inf for one in every):
         raise typer.Exit(1)
     names = ", ".join(f"{n} [{unit}]" for n, unit in zip(target.names, target.units, strict=True))
-    if not network.offset_mm.any() and (network.scale_mm == 1).all():
+    if not network.offset.any() and (network.scale == 1).all():
         units = " and ".join(dict.fromkeys(target.units))
         typer.echo(
             f"Inputs go into the network as they are, in {units} (no option says otherwise)."

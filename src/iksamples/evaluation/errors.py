@@ -241,8 +241,8 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         weights,
         biases,
         header["activation"],
-        tensors["offset_mm"],
-        tensors["scale_mm"],
+        tensors["offset"],
+        tensors["scale"],
         (seed,) * len(kept),
     )
     return epochs[kept], stack

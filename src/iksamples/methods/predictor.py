@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.samples.dataset import SampleSet
 
 
 _BLOCK = 8192
@@ -78,16 +77,3 @@ class Stacked:
         """Joint values [rad or mm], shape (members, points, joints), for inputs (points, d)."""
         answers = {member: member.predict(x)[0] for member in dict.fromkeys(self.members)}
         return np.stack([answers[member] for member in self.members])
-
-
-def require_at_most(limit: int, samples: SampleSet, kind: str) -> None:
-    """Stops where a method whose matrix grows with the square of the samples would get too large.
-
-    Raises:
-        NotApplicableError: There are more samples than the limit.
-    """
-    if samples.n_samples > limit:
-        raise NotApplicableError(
-            f"{kind}: {samples.label} has {samples.n_samples} samples, more than the {limit} whose "
-            "dense matrix is worth solving. Use multilinear or cubic on a grid of this size."
-        )

@@ -4,17 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from iksamples.errors import IksamplesError
-from iksamples.methods import (
-    calibrated,
-    cubic,
-    gaussian_process,
-    multilinear,
-    nominal,
-    polynomial,
-    rbf,
-    residual,
-    trigonometric,
-)
+from iksamples.methods import drawing, grid, scattered, trigonometric
 from iksamples.methods.predictor import Predictor, Stacked
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
@@ -27,7 +17,7 @@ class Kind:
     Attributes:
         fit: Fits samples and returns what answers; None where it is trained instead.
         stochastic: Every seed gives another answer.
-        needs_grid: Needs a sample at every crossing of a grid (``tensor.tensor_grid``).
+        needs_grid: Needs a sample at every crossing of a grid (``grid.tensor_grid``).
         certifiable: Its worst case can be proved.
         needs_samples: It learns from the samples at all.
     """
@@ -41,15 +31,15 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "network": Kind(None, stochastic=True, certifiable=True),
-    "multilinear": Kind(lambda _, s: multilinear.fit(s), needs_grid=True, certifiable=True),
-    "cubic": Kind(lambda _, s: cubic.fit(s), needs_grid=True),
-    "polynomial": Kind(lambda _, s: polynomial.fit(s), needs_grid=True),
-    "rbf": Kind(lambda _, s: rbf.fit(s)),
-    "gaussian-process": Kind(lambda _, s: gaussian_process.fit(s)),
-    "nominal": Kind(lambda task, _: nominal.fit(task), needs_samples=False),
-    "calibrated": Kind(calibrated.fit),
+    "multilinear": Kind(lambda _, s: grid.multilinear(s), needs_grid=True, certifiable=True),
+    "cubic": Kind(lambda _, s: grid.cubic(s), needs_grid=True),
+    "polynomial": Kind(lambda _, s: grid.polynomial(s), needs_grid=True),
+    "rbf": Kind(lambda _, s: scattered.rbf(s)),
+    "gaussian-process": Kind(lambda _, s: scattered.gaussian_process(s)),
+    "nominal": Kind(lambda task, _: drawing.nominal(task), needs_samples=False),
+    "calibrated": Kind(drawing.calibrated),
     "trigonometric": Kind(trigonometric.fit),
-    "residual": Kind(residual.fit),
+    "residual": Kind(drawing.residual),
 }
 """Kind of method (``study.MethodKind``) -> what it is."""
 

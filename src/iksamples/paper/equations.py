@@ -205,7 +205,7 @@ def input_jacobian(network: StackedMLP, positions_mm: Floats) -> Floats:
         Shape (seeds, points, joints, in) [rad].
     """
     phi = ACTIVATIONS[network.activation]
-    hidden = (positions_mm - network.offset_mm) / network.scale_mm
+    hidden = (positions_mm - network.offset) / network.scale
     slope = np.eye(hidden.shape[-1])  # d hidden / d input, shape (seeds, points, in, width)
     for depth, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         hidden = hidden @ weight.astype(float) + bias.astype(float)[:, None, :]

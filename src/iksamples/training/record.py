@@ -179,8 +179,8 @@ def _save_snapshots(path: Path, problem: Problem, network: StackedMLP, record: R
     kernels, biases = unstack(record.snapshots, problem.sizes, problem.output_scale)
     tensors: dict[str, np.ndarray] = {
         "epochs": record.snapshot_epochs,
-        "offset_mm": network.offset_mm,
-        "scale_mm": network.scale_mm,
+        "offset": network.offset,
+        "scale": network.scale,
     }
     for depth, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
         tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(kernel)

@@ -1,4 +1,4 @@
-"""Gaussian-process regression on the samples, wherever they lie."""
+"""Methods that take samples wherever they lie: radial basis functions and a Gaussian process."""
 
 import warnings
 from typing import TYPE_CHECKING
@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.arm.chain import Floats
-from iksamples.methods.predictor import Predictor, Single, require_at_most
+from iksamples.errors import IksamplesError
+from iksamples.methods.predictor import NotApplicableError, Predictor, Single
 from iksamples.samples.dataset import SampleSet
 
 
@@ -14,13 +15,38 @@ if TYPE_CHECKING:
     from sklearn.gaussian_process import GaussianProcessRegressor
 
 MOST_SAMPLES = 4096
+"""More make a dense matrix that is not worth solving."""
 MOST_TO_TUNE = 256
 """Samples that choose the kernel's two numbers; the cost grows with their cube."""
 JITTER = 1e-10
 """Variance added on the kernel's diagonal, as a share of the joints': keeps the solve sound."""
 
 
-def fit(samples: SampleSet) -> Predictor:
+def rbf(samples: SampleSet) -> Predictor:
+    """Interpolates with the cubic kernel r^3 and a linear polynomial, in normalised inputs.
+
+    Of the interpolants of scattered data this is the one with no length to tune: scaling the inputs
+    changes nothing (Wendland, *Scattered Data Approximation*, ch. 8 and 11). All samples count
+    everywhere.
+
+    Raises:
+        NotApplicableError: There are too many samples for a dense solve.
+        IksamplesError: Two samples coincide, or all lie in a plane.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    _require_few(samples, "rbf")
+    try:
+        interpolate = RBFInterpolator(samples.normalise(samples.x), samples.joints, kernel="cubic")
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise IksamplesError(
+            f"rbf: cannot interpolate {samples.label} ({error}). Take out samples of the same "
+            "position, and have at least four that do not lie in one plane."
+        ) from None
+    return Single(lambda x: interpolate(samples.normalise(x)))
+
+
+def gaussian_process(samples: SampleSet) -> Predictor:
     """The posterior mean of ``regressor``.
 
     Raises:
@@ -59,7 +85,7 @@ def regressor(
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-    require_at_most(MOST_SAMPLES, samples, kind)
+    _require_few(samples, kind)
     inputs = samples.normalise(samples.x)
     extent = float(np.ptp(inputs, axis=0).max())
     kernel = ConstantKernel(1.0, (1e-3, 1e9)) * Matern(
@@ -80,3 +106,12 @@ def regressor(
         return tuned
     whole = GaussianProcessRegressor(tuned.kernel_, alpha=JITTER, optimizer=None, normalize_y=True)
     return whole.fit(inputs, samples.joints)
+
+
+def _require_few(samples: SampleSet, kind: str) -> None:
+    if samples.n_samples > MOST_SAMPLES:
+        raise NotApplicableError(
+            f"{kind}: {samples.label} has {samples.n_samples} samples, more than the "
+            f"{MOST_SAMPLES} whose dense matrix is worth solving. Use multilinear or cubic on a "
+            "grid of this size."
+        )
