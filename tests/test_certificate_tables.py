@@ -11,7 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import differential_evolution
 
 from iksamples.certify.balls import Ball
-from iksamples.certify.checker_table import CheckedTable
+from iksamples.certify.checker_network import CheckedTable
 from iksamples.certify.mean import certify_mean
 from iksamples.certify.residual import ErrorOverBoxes
 from iksamples.certify.search import certify_stack

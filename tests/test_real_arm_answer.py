@@ -13,7 +13,7 @@ from iksamples.answer.answer import Answer, read_answer, recommend
 from iksamples.answer.assess import answer, read_floor
 from iksamples.answer.replication import fresh_study
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.floor import OwnInverse, repeatability
+from iksamples.evaluation.errors import OwnInverse, repeatability
 from iksamples.export.write import choose
 from iksamples.report.write import write_report
 from iksamples.results import certified

@@ -94,7 +94,7 @@ if FLOOR:
             arm=ARM,
             waypoints=WAYPOINTS,
             settings=settings("robot", "arm", "task", "workspace", "evaluation"),
-            code=source_digest("iksamples.evaluation.floor"),
+            code=source_digest("iksamples.evaluation.errors"),
         shell:
             '"$IKSAMPLES_PYTHON" -P -m iksamples floor {params.study:q} {input.samples:q} --output {output:q}'
             " 2> >(tee {log:q} >&2)"

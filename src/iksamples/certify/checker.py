@@ -38,8 +38,7 @@ from iksamples.certify.balls import (
     up,
 )
 from iksamples.certify.checker_arm import Arm
-from iksamples.certify.checker_network import Network, Terms, corners, mixed_pairs
-from iksamples.certify.checker_table import CheckedTable
+from iksamples.certify.checker_network import CheckedTable, Network, Terms, corners, mixed_pairs
 from iksamples.certify.compared import (
     LARGEST_ANGLE,
     Compared,

@@ -101,7 +101,7 @@ def evaluate(
 @app.command()
 def floor(study_file: StudyFile, samples_files: SamplesFiles, output: Output) -> None:
     """Measure what the arms leave of the error of their own inverse: no samples can do better."""
-    from iksamples.evaluation.floor import repeatability
+    from iksamples.evaluation.errors import repeatability
     from iksamples.study import read_study
     from iksamples.task import study_task
 

@@ -1,4 +1,4 @@
-"""Errors of networks and other methods on paths and over the whole region."""
+"""Errors of methods on paths and over the whole region, and what arms leave them at least."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats
-from iksamples.arm.real import Arm
+from iksamples.arm.inverse import followed
+from iksamples.arm.real import Arm, RealArm
 from iksamples.evaluation.paths import waypoints
 from iksamples.methods.predictor import NotApplicableError, Predictor
 from iksamples.methods.registry import KINDS, fit_each
@@ -246,3 +247,45 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         (seed,) * len(kept),
     )
     return epochs[kept], stack
+
+
+FLOOR = "floor"
+"""Where it lies among a study's results, as ``errors.parquet``."""
+
+
+@dataclass(frozen=True)
+class OwnInverse:
+    """Each arm's own inverse kinematics, its sag included: no method can know more.
+
+    Attributes:
+        task: What is learned.
+        seeds: The arms' seeds.
+    """
+
+    task: Task
+    seeds: tuple[int, ...]
+
+    def predict(self, x: ArrayLike, /) -> Floats:
+        """Joint values [rad or mm], shape (arms, points, joints), for inputs (points, d)."""
+        drawn = self.task.reach(x)
+        answers = []
+        for seed in self.seeds:
+            actual, arm = followed(drawn, self.task.chain_of(seed)), self.task.arm_of(seed)
+            answers.append(arm.unloaded(actual) if isinstance(arm, RealArm) else actual)
+        return np.stack(answers)
+
+
+def repeatability(study: Study, task: Task) -> "pd.DataFrame":
+    """What is left of the error of each arm's own inverse, by the play and the steps of its joints.
+
+    Args:
+        study: The study, with an ``arm`` section.
+        task: Its task.
+
+    Returns:
+        As ``evaluation.errors.summarise``: a row for each region and arm.
+    """
+    known = OwnInverse(task, study.arms)
+    return summarise(
+        track_paths(study.evaluation, task, known), cube_errors(study.evaluation, task, known)
+    )
