@@ -104,7 +104,7 @@ def random_networks(rng, activation, hidden=(7, 5)):
 def test_input_jacobian_is_the_derivative_by_normalised_inputs(rng, activation):
     network = random_networks(rng, activation)
     points = rng.uniform(20, 60, (40, 3))
-    step = 1e-5 * network.scale_mm
+    step = 1e-5 * network.scale
     for i, unit in enumerate(np.eye(3)):
         ahead, behind = (network.predict(points + sign * step * unit) for sign in (1, -1))
         difference = (ahead - behind) / 2e-5
