@@ -43,6 +43,25 @@ def test_an_edit_changes_the_digests_of_what_imports_it_and_no_others(package):
     assert digests(package)[1] == other
 
 
+@pytest.mark.parametrize(
+    "block",
+    [
+        "class A:\n  async def f():\n    {}",
+        "for _ in ():\n  pass\nelse:\n  {}",
+        "try:\n  pass\nexcept ValueError:\n  {}",
+        "try:\n  pass\nfinally:\n  {}",
+        "if 0:\n  pass\nelif 1:\n  with open('x'):\n    {}",
+        "match 1:\n  case 1:\n    {}",
+        "while 1: {}",
+    ],
+)
+def test_an_import_in_any_block_counts(package, block):
+    (package / "deep" / "step.py").write_text(block.format("import toy.base") + "\n")
+    step, _ = digests(package)
+    (package / "base.py").write_text("x = 2\n")
+    assert digests(package)[0] != step
+
+
 @pytest.mark.parametrize("data", ["data.csv", "templates/page.md.j2"])
 def test_data_in_a_package_counts(package, data):
     step, other = digests(package)

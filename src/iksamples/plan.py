@@ -296,7 +296,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         "table": [0.0],
         "answer": [0.1 * len(study.all_methods) * len(study.samples.designs)],
         "track": [_RUN * n_networks * n_first / n_sets],
-        "record": [0.5] * len(study.evaluation.paths),
+        "record": [0.5 * len(study.evaluation.paths)],
         "report": [1.0],
     }
     if study.replication.seeds:

@@ -51,7 +51,9 @@ rule prove:
         study="results/{study}/study.json",
         arm=ARM,
         settings=settings("robot", "arm", "task", "workspace"),
-        tightness=settings(bounds={"sup_rtol", "sup_atol_deg", "mean_rtol", "mean_atol_mm"}),
+        tightness=settings(
+            bounds={"sup_rtol", "sup_atol_deg", "mean_rtol", "mean_atol_mm"}
+        ),
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
         results=results_folder,

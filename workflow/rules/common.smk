@@ -213,5 +213,4 @@ wildcard_constraints:
     network="|".join(networks(STUDY)),
     samples="|".join(ALL_LABELS),
     method="|".join(STUDY.all_methods),
-    path="|".join(STUDY.evaluation.paths),
     part=r"\d+",

@@ -1,5 +1,6 @@
 """
-Recordings: the arm drawing each path, for the Rerun viewer.
+Recordings: the arm drawing each path, for the Rerun viewer; all in one job, since starting Python
+with Rerun costs more than recording.
 
 REQUIRED INPUTS
     results/<study>/samples/, results/<study>/network/grid<m>/{weights,snapshots,waypoints}
@@ -9,7 +10,7 @@ OUTPUTS
 
 
 rule record:
-    """Record one path with all grids in it."""
+    """Record every path with all grids in it."""
     input:
         waypoints=expand(
             "results/{{study}}/network/{samples}/waypoints.parquet", samples=LABELS
@@ -23,11 +24,11 @@ rule record:
             "results/{study}/network/certificates.csv" if certified(STUDY) else []
         ),
     output:
-        "results/{study}/recordings/{path}.rrd",
+        expand("results/{{study}}/recordings/{path}.rrd", path=STUDY.evaluation.paths),
     log:
-        "results/{study}/logs/record/{path}.log",
+        "results/{study}/logs/record.log",
     benchmark:
-        "results/{study}/benchmarks/record/{path}.jsonl"
+        "results/{study}/benchmarks/record.jsonl"
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -35,5 +36,5 @@ rule record:
         code=source_digest("iksamples.recording.record"),
         results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples record {params.study:q} --path {wildcards.path:q} --results {params.results:q}'
-        " --output {output:q} 2> >(tee {log:q} >&2)"
+        '"$IKSAMPLES_PYTHON" -P -m iksamples record {params.study:q} --results {params.results:q}'
+        " --output {params.results:q}/recordings 2> >(tee {log:q} >&2)"

@@ -327,19 +327,25 @@ def track(
 @app.command()
 def record(
     study_file: StudyFile,
-    path: Annotated[str, typer.Option(help="Which of the study's paths.")],
     results: Results,
-    output: Output,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder that gets a file for each path.")
+    ],
+    path: Annotated[
+        list[str] | None, typer.Option(help="Only this path of the study; can be repeated.")
+    ] = None,
 ) -> None:
-    """Record the arm drawing one path, all grids in one file for the Rerun viewer."""
+    """Record the arm drawing each path, all grids in one file for the Rerun viewer."""
     from iksamples.recording.record import record_path
     from iksamples.results import cells
     from iksamples.study import read_study
 
     study = read_study(study_file)
-    require_one_of(study.evaluation.paths, path, f"{study_file}: no path")
-    with kept_file(output) as file:
-        record_path(study, path, cells(study, results), file)
+    for name in path or ():
+        require_one_of(study.evaluation.paths, name, f"{study_file}: no path")
+    for name in path or study.evaluation.paths:
+        with kept_file(output / f"{name}.rrd") as file:
+            record_path(study, name, cells(study, results), file)
 
 
 @app.command()
