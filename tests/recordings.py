@@ -19,3 +19,31 @@ def recorded(n=60, noise_mm=0.05, seed=0):
     q = task.reach(rng.uniform(task.x.lower, task.x.upper, (n, 3))).joints
     x = arm.forward_mm(q) + noise_mm * rng.normal(size=(n, 3))
     return task.drawing, arm, pd.DataFrame(np.hstack([x, q]), columns=NAMES)
+
+
+def sockets(folder, places=4, postures=12, scatter_mm=0.05, seed=0):
+    """A drawing, the arm itself, and a folder of postures with its tool in two sockets of places.
+
+    Newton's method brings the arm's tool to each socket from random postures.
+    """
+    from iksamples.arm.load import load_arm
+
+    drawing = load_arm("config/robots/panda.urdf")
+    rng = np.random.default_rng(seed)
+    arm = deviated(drawing, rng.normal(size=(8, 6)) * np.repeat([1, 0.01], 3))
+    home = np.array([0, -0.5, 0, -2.2, 0, 1.8, 0.8])
+    for place in range(places):
+        base = rng.normal(size=3) * 0.25
+        q = home + np.concatenate([base, np.zeros(4)])
+        first = arm.forward_mm(q)
+        way = rng.normal(size=3)
+        for socket, point in enumerate((first, first + 50 * way / np.linalg.norm(way))):
+            found = q + 0.35 * rng.normal(size=(postures, 7))
+            goal = point + scatter_mm * rng.normal(size=(postures, 3))
+            for _ in range(50):
+                off = goal - arm.forward_mm(found)
+                step = (np.linalg.pinv(arm.jacobian_mm(found)) @ off[..., None])[..., 0]
+                found += np.clip(step, -0.3, 0.3)
+            (folder / f"place{place}").mkdir(parents=True, exist_ok=True)
+            np.savetxt(folder / f"place{place}" / f"hole_{socket}.csv", found, delimiter=",")
+    return drawing, arm

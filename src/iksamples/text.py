@@ -66,7 +66,9 @@ def placed(study: Study, design: str) -> str:
 
 
 def trial(study: Study) -> str:
-    """What a seed of the study is: a training on the one arm, or another arm."""
+    """What a seed is: a training on the one arm, another arm, or another order of its records."""
+    if study.samples.recorded:
+        return "order"
     return "arm" if study.arm else "training"
 
 

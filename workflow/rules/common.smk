@@ -37,6 +37,23 @@ def digest_of(file, key):
         stop(f"{key}: cannot read {file} ({error.strerror}).")
 
 
+def recording_digest():
+    """Of the study's recording, a file or a folder of files."""
+    place = Path(STUDY.samples.recorded.path)
+    if "urdf" not in STUDY.robot.model_fields_set:
+        stop(
+            "samples.recorded: name the arm, robot.urdf; for records of an arm without a drawing "
+            "there is `iksamples size recorded.csv`."
+        )
+    if not place.exists():
+        stop(STUDY.samples.recorded.missing())
+    files = sorted(place.rglob("*")) if place.is_dir() else [place]
+    content = hashlib.sha256()
+    for file in filter(Path.is_file, files):
+        content.update(str(file.relative_to(place)).encode() + file.read_bytes())
+    return content.hexdigest()[:12]
+
+
 def study_files():
     """The study's files, as from this folder."""
     return [os.path.relpath(file) for file in workflow.configfiles]

@@ -50,7 +50,9 @@ def answer_study(study: Study, results: str | Path) -> Answer:
         IksamplesError: The results are not complete, or contradict each other.
     """
     rows = outcomes(study, read_runs(results))
-    return answer(study, rows, Path(results), read_floor(study, results))
+    # Of records no network is kept, in which a reason could be looked for.
+    folder = None if study.samples.recorded else Path(results)
+    return answer(study, rows, folder, read_floor(study, results))
 
 
 def answer(

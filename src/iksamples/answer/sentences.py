@@ -62,7 +62,8 @@ def headline(
     Of an arm that is its drawing, the drawing's inverse is a reference, and recommended to nobody
     who asks for samples.
     """
-    candidates = [one for one in variants if one.kind != "nominal" or study.arm] or list(variants)
+    real = trial(study) != "training"
+    candidates = [one for one in variants if one.kind != "nominal" or real] or list(variants)
     answered = [one for one in candidates if one.found]
     answered.sort(
         key=lambda one: (
@@ -165,8 +166,10 @@ def floor_told(study: Study, median_mm: float, worst_mm: float) -> str:
     return text
 
 
-def _over(region_share: float) -> str:
-    """What everything is over: the workspace, or the part of it that the arm can use."""
+def _over(study: Study, region_share: float) -> str:
+    """What everything is over: the workspace, what the arm can use of it, or records."""
+    if study.samples.recorded:
+        return "what was held out"
     if region_share == 1:
         return "the workspace"
     return f"the usable part of the workspace ({percent_down(region_share)} of the box)"
@@ -181,7 +184,7 @@ def _asked(
     path = tolerance.where != "workspace"
     text = _ASKED["proved" if proved else tolerance.of].format(
         limit=allowed(tolerance),
-        place=f"the path {tolerance.where}" if path else _over(region_share),
+        place=f"the path {tolerance.where}" if path else _over(study, region_share),
         points=_points(study, variants[0].shown),
         along="along" if path else "in",
     )
@@ -202,7 +205,8 @@ def _confidence(study: Study, confidence: Confidence) -> str:
     if confidence.n_variants == 1:
         return text
     all_of_them = "both" if confidence.n_variants == 2 else f"all {confidence.n_variants}"
-    return f"{text} for {all_of_them} {'methods' if study.arm else 'variants of networks'} together"
+    what = "variants of networks" if trial(study) == "training" else "methods"
+    return f"{text} for {all_of_them} {what} together"
 
 
 def _clause(study: Study, one: VariantAnswer) -> str:
@@ -254,6 +258,8 @@ def _samples(size: Size) -> str:
 
 def _points(study: Study, size: Size) -> str:
     word = "point" if study.tolerance.where == "workspace" else "waypoint"
+    if study.samples.recorded:
+        word = "record"
     return several(size.n_points, word)
 
 

@@ -31,9 +31,18 @@ def check(study_file: StudyFile) -> None:
     from iksamples.region import Region
     from iksamples.results import networks, sample_sets
     from iksamples.samples.record import record_samples, region_points
-    from iksamples.study import NETWORK
+    from iksamples.study import NETWORK, read_study
+    from iksamples.task import study_task
 
-    study, task = open_study(study_file)
+    study = read_study(study_file)
+    if study.samples.recorded:
+        from iksamples.recorded.learn import looked_at
+
+        head, doubts = looked_at(study)
+        lines = [f"Note: {doubt}" for doubt in doubts]
+        typer.echo("\n".join([f"{study.name}: valid; digest {study.digest()}. {head}", *lines]))
+        return
+    task = study_task(study)
     valid = f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}"
     if study.readings:
         typer.echo(f"{valid}\n{readings_text(study, len(task.q))}")

@@ -203,6 +203,30 @@ def collect(study_file: StudyFile, results: Results) -> None:
 
 
 @app.command()
+def learn(study_file: StudyFile, results: Results) -> None:
+    """Learn from a study's recording, judged by what is held out: runs.parquet, judged.parquet.
+
+    What the recording is, what is odd about it, and which methods cannot use it: recorded.json.
+    """
+    import json
+
+    from iksamples.answer.collect import FILE
+    from iksamples.recorded.learn import ABOUT, JUDGED, learning_curve
+    from iksamples.study import read_study
+
+    found = learning_curve(read_study(study_file))
+    about = {"head": found.head, "doubts": found.doubts, "left_out": found.left_out}
+    for doubt in found.doubts:
+        typer.echo(f"Note: {doubt}", err=True)
+    with kept_file(results / ABOUT) as file:
+        file.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    with kept_file(results / JUDGED) as file:
+        found.judged.to_parquet(file)
+    with kept_file(results / FILE) as file:
+        found.runs.to_parquet(file)
+
+
+@app.command()
 def table(study_file: StudyFile, results: Results) -> None:
     """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
     import pandas as pd
@@ -358,8 +382,11 @@ def report(
     ] = "snakemake --cores 2",
 ) -> None:
     """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
+    from iksamples.report.recorded import write_recorded
     from iksamples.report.write import write_front_page, write_report
     from iksamples.study import read_study
 
-    write_report(read_study(study_file), results, output, command)
+    study = read_study(study_file)
+    write = write_recorded if study.samples.recorded else write_report
+    write(study, results, output, command)
     write_front_page(output.parent, output.parent.parent / "docs" / "studies")

@@ -26,7 +26,7 @@ _WORDS = {
 }
 _LOOSE = 0.1
 _ROUNDS, _DAMPING = 12, 1e-9
-_MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
+MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
 _UNLIKE = {"mm": 5.0, "rad": 20.0}
 """How many times farther one column may extend than another, before it is asked about."""
 _GROUP, _APART = 3, 20.0
@@ -177,7 +177,7 @@ def _require_one_unit(
             else:
                 changed.joints[np.ix_(far, turns)] *= factor
             right = far & (_position_misses(changed, drawing) <= bound)
-            right &= np.all(np.abs(changed.joints[:, turns]) < _MOST_RAD, axis=1)
+            right &= np.all(np.abs(changed.joints[:, turns]) < MOST_RAD, axis=1)
             if np.any(right) and np.sum(right) >= 0.5 * np.sum(far):
                 rows = np.flatnonzero(right)
                 raise IksamplesError(
@@ -197,7 +197,7 @@ def _implausible(recording: Recording) -> Iterator[str]:
     path, turns = recording.table.path, np.array([unit == "rad" for unit in recording.joint_units])
     angles, where = recording.joints[:, turns], _positions(recording)
     most = np.max(np.abs(angles), axis=0, initial=0)
-    if np.any(most > _MOST_RAD):
+    if np.any(most > MOST_RAD):
         name = np.array(recording.joint_names)[turns][int(np.argmax(most))]
         raise IksamplesError(
             f"{path}: {name} turns by {most.max():.4g} rad as its column is said to be, more than "

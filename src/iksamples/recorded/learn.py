@@ -2,24 +2,36 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
-from iksamples.arm.chain import Floats, angles_of
+from iksamples.arm.chain import Floats, SerialChain, angles_of
+from iksamples.errors import IksamplesError
 from iksamples.recorded.curve import runs_table
 from iksamples.recorded.doubts import checked
-from iksamples.recorded.judge import judged, n_held
+from iksamples.recorded.judge import judged, n_held, orders
 from iksamples.recorded.read import Recording, read_recording
+from iksamples.recorded.sockets import (
+    Places,
+    judged_sockets,
+    n_held_places,
+    odd_postures,
+    read_places,
+)
 from iksamples.region import Region
-from iksamples.study import Study, Workspace, parse_study
+from iksamples.study import Recorded, Study, Workspace, parse_study
 from iksamples.task import Task, study_chain, study_task
+from iksamples.text import several
 
 
 if TYPE_CHECKING:
     import pandas as pd
 
+ABOUT, JUDGED = "recorded.json", "judged.parquet"
+"""Files of a recorded study: what its recording is, and every record held out."""
 _MOST_SIZES = 6
 _USUAL: dict[str, Any] = {
     "network": {"hidden": [16], "activation": "tanh"},
@@ -35,13 +47,24 @@ _USUAL: dict[str, Any] = {
 
 
 class Learned(NamedTuple):
-    """What records say."""
+    """What a recording says.
 
-    recording: Recording
+    Attributes:
+        head: What it is, in a sentence.
+        doubts: What is odd about it, a sentence each.
+        judged: A row per method, size, order and record held out (``judge.judged``).
+        left_out: Why a method has none.
+    """
+
+    head: str
     doubts: list[str]
     judged: "pd.DataFrame"
-    runs: "pd.DataFrame"
     left_out: dict[str, str]
+
+    @property
+    def runs(self) -> "pd.DataFrame":
+        """The same as a table of runs, an order for a seed."""
+        return runs_table(runs_of(self.judged))
 
 
 def sized_study(settings: dict[str, Any], where: str) -> Study:
@@ -74,8 +97,16 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     """
     settings = study.samples.recorded
     assert settings is not None
+    if not Path(settings.path).exists():
+        raise IksamplesError(settings.missing())
     drawing = study_chain(study) if drawn else None
-    return checked(read_recording(settings.path, drawing, settings.columns), drawing)
+    recording, doubts = checked(read_recording(settings.path, drawing, settings.columns), drawing)
+    if drawing is None:
+        doubts.append(
+            "no drawing of the arm is known: errors of joints are told in mm to first order, by "
+            "how the tool moves between the records near by."
+        )
+    return recording, doubts
 
 
 def learning_curve(study: Study, drawn: bool = True) -> Learned:
@@ -88,10 +119,49 @@ def learning_curve(study: Study, drawn: bool = True) -> Learned:
     Raises:
         IksamplesError: The records cannot be read or used, or are too few.
     """
+    settings = study.samples.recorded
+    assert settings is not None
+    if settings.kind == "sockets":
+        drawing = study_chain(study)
+        places = read_places(settings, drawing)
+        rows, left_out = judged_sockets(study, drawing, places)
+        return Learned(*_of_sockets(settings, drawing, places), rows, left_out)
     recording, doubts = read_checked(study, drawn)
     task = recorded_task(study, recording) if drawn else None
-    rows, left_out = judged(study, recording, task)
-    return Learned(recording, doubts, rows, runs_table(runs_of(rows)), left_out)
+    return Learned(_of_table(study, recording), doubts, *judged(study, recording, task))
+
+
+def looked_at(study: Study) -> tuple[str, list[str]]:
+    """What a study's recording is, and what is odd about it; nothing is learned."""
+    settings = study.samples.recorded
+    assert settings is not None
+    if settings.kind == "sockets":
+        drawing = study_chain(study)
+        return _of_sockets(settings, drawing, read_places(settings, drawing))
+    recording, doubts = read_checked(study, drawn=True)
+    orders(study, len(recording))
+    return _of_table(study, recording), doubts
+
+
+def _of_table(study: Study, recording: Recording) -> str:
+    n, settings = len(recording), study.samples.recorded
+    assert settings is not None
+    return (
+        f"{several(n, 'record')} ({', '.join(recording.inputs)}; "
+        f"{', '.join(recording.joint_names)}). In each of {settings.subsets} random orders "
+        f"{n_held(study, n)} judge, and the others are learned from."
+    )
+
+
+def _of_sockets(settings: Recorded, drawing: SerialChain, places: Places) -> tuple[str, list[str]]:
+    n = sum(len(postures) for sockets in places.values() for postures in sockets)
+    head = (
+        f"{several(n, 'posture')} with the tool in the sockets of {several(len(places), 'place')}. "
+        f"In each of {settings.subsets} random orders of the places "
+        f"{n_held_places(settings, places)} judge, and the others are learned from, "
+        f"{settings.postures_per_place} postures in each before the next."
+    )
+    return head, odd_postures(places, drawing)
 
 
 def recorded_task(study: Study, recording: Recording) -> Task:

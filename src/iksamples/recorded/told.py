@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from iksamples.answer.answer import Size, VariantAnswer
 from iksamples.answer.assess import answer
 from iksamples.answer.outcomes import outcomes
-from iksamples.recorded.judge import n_held
 from iksamples.recorded.learn import Learned
 from iksamples.stats import share_lower
 from iksamples.study import Study, Tolerance
@@ -28,23 +27,10 @@ def told(study: Study, found: Learned, judged: bool) -> list[str]:
         found: What was learned from them.
         judged: Whether there is a tolerance to hold it against.
     """
-    recording = found.recording
-    n, held = len(recording), n_held(study, len(recording))
     assert study.samples.recorded is not None
-    lines = [
-        f"{recording.table.path}: {several(n, 'record')} ({', '.join(recording.inputs)}; "
-        f"{', '.join(recording.joint_names)}). In each of "
-        f"{study.samples.recorded.subsets} random orders {held} judge, and the others are learned "
-        "from."
-    ]
+    lines = [f"{study.samples.recorded.path}: {found.head}"]
     lines += [f"Note: {doubt}" for doubt in found.doubts]
     lines += [f"Left out: {name}: {why}" for name, why in found.left_out.items()]
-    drawn = "nominal" in set(found.judged["method"])
-    if not drawn:
-        lines.append(
-            "No drawing of the arm: errors of joints are told in mm to first order, by how the "
-            "tool moves between the records near by."
-        )
     what = {"worst": "the worst record", "mean": "the mean"}.get(
         study.tolerance.of, f"{study.tolerance.of[1:]} % of the records"
     )

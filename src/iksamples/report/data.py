@@ -188,7 +188,7 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
         worst_deg=runs["angle_upper_deg"].fillna(runs["angle_max_deg"]),
     )
     data = ReportData(study, results, command, sound, lost)
-    if data.own.empty:
+    if data.own.empty and not study.samples.recorded:
         raise IksamplesError(
             f"{results}: every network diverged, so there is nothing to report. "
             "Lower training.learning_rate."

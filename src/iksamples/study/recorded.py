@@ -53,6 +53,9 @@ class Recorded(Section):
         description="The recording, relative to the working folder: a CSV or Parquet file, or a "
         "folder (docs/recorded.md)."
     )
+    source: str = Field(
+        "", description="Where the recording can be had; said where it is not there."
+    )
     kind: Literal["table", "sockets"] = Field(
         "table",
         description="Positions (or poses) with the joint values there; or a folder for each place "
@@ -84,6 +87,13 @@ class Recorded(Section):
         "the next place are taken.",
     )
     assumed: Assumed = Assumed()
+
+    def missing(self) -> str:
+        """What is said where the recording is not there."""
+        where = f" It can be had from {self.source}." if self.source else ""
+        return (
+            f"{self.path}: there is no such recording.{where} Its place is samples.recorded.path."
+        )
 
 
 Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive", "recorded"]

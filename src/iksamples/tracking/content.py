@@ -113,7 +113,8 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
     sound = rows[~rows["diverged"]]
     of_seeds = rows.drop_duplicates("seed")
     metrics = [*_errors(sound, n), ("n_diverged", float(of_seeds["diverged"].sum()), n)]
-    trained = variant.method in networks(study)
+    recorded = study.samples.recorded is not None
+    trained = variant.method in networks(study) and not recorded
     if trained:
         history = cell.table("history")
         metrics += _losses(history[history["seed"].isin(sound["seed"])])
@@ -136,8 +137,8 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
         settings,
         [metric for metric in metrics if np.isfinite(metric[1])],
         {"seeds.csv": rows.to_csv(index=False)},
-        (cell.samples_path, *(own if trained else [])),
-        cell.samples,
+        () if recorded else (cell.samples_path, *(own if trained else [])),
+        None if recorded else cell.samples,
     )
 
 

@@ -76,7 +76,7 @@ def track(study: Study, results: Path, output: Path) -> Outcome:
         with failing_plainly(uri):
             where = experiment(client, study.name)
             outcome = log_runs(client, where, whose, contents, source_tags(study))
-            if (results / ANSWER).exists():
+            if (results / ANSWER).exists() and not study.samples.recorded:
                 log_network(client, outcome.run_ids[own_run(study)], results)
             client.set_experiment_tag(
                 where.experiment_id, *view_tag(study, whose, int(where.creation_time or 0))

@@ -1,0 +1,232 @@
+"""Postures with the tool held in points that nobody measured: a ball at rest in a socket.
+
+A tool with two sockets is put in several places; in each socket joint values are read in many
+postures. A model of the arm is right if it has the ball in one point in all postures of a socket,
+and the two points as far apart as the sockets are.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from iksamples.arm.chain import Floats, SerialChain
+from iksamples.calibration.fit import Prior, fit_sockets
+from iksamples.errors import IksamplesError
+from iksamples.recorded.doubts import MOST_RAD
+from iksamples.study import Recorded, Study
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Places = dict[str, list[Floats]]
+"""Place of the tool -> joint values [rad or mm] by socket, shape (postures, joints)."""
+
+FILES = ("hole_0.csv", "hole_1.csv")
+FEWEST = 2
+"""Postures of a point, below which it says nothing."""
+_STREAM = 60
+
+
+def read_places(settings: Recorded, drawing: SerialChain) -> Places:
+    """Reads a folder for each place, with a file of joint values [rad or mm] for each socket.
+
+    Args:
+        settings: Where they are.
+        drawing: The arm as drawn.
+
+    Raises:
+        IksamplesError: There is no such folder or fewer than two places in it, or a file holds
+            something else.
+    """
+    folder = Path(settings.path)
+    if not folder.is_dir():
+        raise IksamplesError(settings.missing())
+    places = {
+        place.name: [_postures(place / name, drawing) for name in FILES]
+        for place in sorted(folder.iterdir())
+        if place.is_dir() and any((place / name).exists() for name in FILES)
+    }
+    if len(places) < 2:
+        raise IksamplesError(
+            f"{folder}: {len(places)} places of the tool (folders with {' and '.join(FILES)}); at "
+            "least 2 are needed to learn in one and judge in another."
+        )
+    return places
+
+
+def _postures(path: Path, drawing: SerialChain) -> Floats:
+    try:
+        found = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise IksamplesError(f"{path}: no table of joint values ({reason}).") from None
+    if found.shape[1] != drawing.n_joints or len(found) < FEWEST:
+        raise IksamplesError(
+            f"{path}: {len(found)} rows of {found.shape[1]} values; give at least {FEWEST} rows of "
+            f"{drawing.n_joints}, one value for each of {', '.join(drawing.joint_names)}."
+        )
+    bad = np.flatnonzero(~np.isfinite(found).all(axis=1))
+    if len(bad):
+        raise IksamplesError(f"{path}: row {bad[0] + 1} has a value that is no finite number.")
+    turns = np.array([unit == "rad" for unit in drawing.joint_units])
+    if np.any(np.abs(found[:, turns]) > MOST_RAD):
+        raise IksamplesError(f"{path}: angles beyond {MOST_RAD:.3g} rad; are they in degrees?")
+    return found
+
+
+def odd_postures(places: Places, drawing: SerialChain) -> list[str]:
+    """What is odd about the postures, a sentence each."""
+    lines = []
+    for name, sockets in places.items():
+        for file, postures in zip(FILES, sockets, strict=True):
+            outside = np.flatnonzero(~drawing.within_limits(postures))
+            if len(outside):
+                lines.append(
+                    f"{name}/{file}: {len(outside)} of {len(postures)} postures are outside the "
+                    f"joint limits (row {outside[0] + 1} first)."
+                )
+            _, first = np.unique(postures, axis=0, return_index=True)
+            again = np.setdiff1d(np.arange(len(postures)), first)
+            if len(again):
+                lines.append(
+                    f"{name}/{file}: {len(again)} of {len(postures)} postures stand there twice "
+                    f"(row {again[0] + 1} first)."
+                )
+    return lines
+
+
+def judged_sockets(
+    study: Study, drawing: SerialChain, places: Places
+) -> "tuple[pd.DataFrame, dict[str, str]]":
+    """The drawing, and what is fitted to postures, judged in places that had no part in it.
+
+    In an order of the places the postures are learned from place by place, some in each before the
+    tool is moved on; the first places of the order judge.
+
+    Args:
+        study: The study, with ``samples.recorded``.
+        drawing: The arm as drawn, with the tool about where it is held.
+        places: The postures.
+
+    Returns:
+        As ``judge.judged``. An error is the distance of a posture's ball from the mean of its
+        socket; ``apart_mm`` is by how much the distance of the two sockets is off, in the mean over
+        the places that judge.
+
+    Raises:
+        IksamplesError: There are fewer postures than the study's sizes ask for.
+    """
+    import pandas as pd
+
+    settings = study.samples.recorded
+    assert settings is not None
+    frames, left_out = [], {}
+    for name, method in study.all_methods.items():
+        if method.kind == "nominal":
+            frames.append(_judged(settings, drawing, places, list(places)).assign(method=name))
+        elif method.kind == "calibrated":
+            for seed in range(settings.subsets):
+                frames += [
+                    one.assign(method=name, seed=seed)
+                    for one in _order(study, settings, drawing, places, seed)
+                ]
+        else:
+            left_out[name] = "it learns from positions, and nobody measured any."
+    if not frames:
+        raise IksamplesError(
+            f"{settings.path}: of postures in sockets only the kinds nominal and calibrated can "
+            "learn; name one under methods."
+        )
+    return pd.concat(frames, ignore_index=True), left_out
+
+
+def n_held_places(settings: Recorded, places: Places) -> int:
+    """How many places judge."""
+    return min(max(1, round(settings.held_out_share * len(places))), len(places) - 1)
+
+
+def _order(
+    study: Study, settings: Recorded, drawing: SerialChain, places: Places, seed: int
+) -> "Iterator[pd.DataFrame]":
+    """One order: the sizes of the study, judged."""
+    rng = np.random.default_rng([seed, _STREAM])
+    names = [str(name) for name in rng.permutation(list(places))]
+    n_held = n_held_places(settings, places)
+    held, learned = names[:n_held], names[n_held:]
+    postures = list(_sequence(places, learned, settings.postures_per_place, rng))
+    if study.sizes[-1] > len(postures):
+        raise IksamplesError(
+            f"{settings.path}: {n_held} of {len(names)} places judge, which leaves "
+            f"{len(postures)} postures to learn from; samples.sizes asks for {study.sizes[-1]}."
+        )
+    assumed = settings.assumed
+    prior = Prior(assumed.deviation_mm, assumed.deviation_rad, assumed.tool_mm)
+    for n in study.sizes:
+        points: dict[tuple[str, int], list[int]] = {}
+        for place, socket, row in postures[:n]:
+            points.setdefault((place, socket), []).append(row)
+        points = {key: rows for key, rows in points.items() if len(rows) >= FEWEST}
+        keys = list(points)
+        pairs = [
+            (keys.index((place, 0)), keys.index((place, 1)), settings.socket_distance_mm)
+            for place in learned
+            if (place, 0) in points and (place, 1) in points
+        ]
+        groups = [places[place][socket][rows] for (place, socket), rows in points.items()]
+        fitted = fit_sockets(drawing, groups, pairs, prior=prior, noise_mm=assumed.noise_mm)
+        yield _judged(settings, fitted.chain, places, held).assign(n_samples=n)
+
+
+def _sequence(
+    places: Places, names: list[str], at_once: int, rng: np.random.Generator
+) -> Iterator[tuple[str, int, int]]:
+    """Place, socket and row of the postures in the order in which they are learned from."""
+    left = {}
+    for name in names:
+        rows = [rng.permutation(len(postures)) for postures in places[name]]
+        longest = max(map(len, rows))
+        left[name] = [
+            (name, socket, int(own[i]))
+            for i in range(longest)
+            for socket, own in enumerate(rows)
+            if i < len(own)
+        ]
+    while any(left.values()):
+        for name in names:
+            yield from left[name][:at_once]
+            left[name] = left[name][at_once:]
+
+
+def _judged(
+    settings: Recorded, model: SerialChain, places: Places, held: list[str]
+) -> "pd.DataFrame":
+    """How consistent a model is in some places."""
+    import pandas as pd
+
+    records = np.cumsum([0, *(len(one) for sockets in places.values() for one in sockets)])
+    first = {
+        (name, socket): int(records[len(FILES) * i + socket])
+        for i, name in enumerate(places)
+        for socket in range(len(FILES))
+    }
+    rows, apart = [], []
+    for name in held:
+        balls = [model.forward_mm(postures) for postures in places[name]]
+        centres = [ball.mean(axis=0) for ball in balls]
+        distance = float(np.linalg.norm(centres[0] - centres[1]))
+        apart.append(abs(distance - settings.socket_distance_mm))
+        for socket, (ball, centre) in enumerate(zip(balls, centres, strict=True)):
+            rows.append(
+                pd.DataFrame(
+                    {
+                        "record": first[name, socket] + np.arange(len(ball)),
+                        "error_mm": np.linalg.norm(ball - centre, axis=1),
+                    }
+                )
+            )
+    return pd.concat(rows).assign(
+        n_samples=0, seed=0, angle_deg=np.nan, joint_deg=np.nan, apart_mm=float(np.mean(apart))
+    )

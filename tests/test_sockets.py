@@ -1,0 +1,147 @@
+"""Postures in sockets that nobody measured: fitted in some places, judged in others."""
+
+import numpy as np
+import pytest
+from recordings import recorded, sockets
+from typer.testing import CliRunner
+
+from iksamples.cli import app
+from iksamples.errors import IksamplesError
+from iksamples.recorded.learn import learning_curve
+from iksamples.recorded.sockets import FILES
+from iksamples.study import parse_study
+
+
+def study_of(folder, **recording):
+    return parse_study(
+        {
+            "name": "s",
+            "robot": {"urdf": "config/robots/panda.urdf"},
+            "samples": {
+                "sizes": [8, 24],
+                "recorded": {"path": str(folder), "kind": "sockets", "subsets": 4, **recording},
+            },
+            "methods": {name: {"kind": name} for name in ("nominal", "calibrated")},
+            "tolerance": {"error_mm": 1, "of": "mean"},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sockets")
+    drawing, arm = sockets(folder)
+    return folder, drawing, arm, learning_curve(study_of(folder))
+
+
+def test_places_that_judge_have_no_part_in_the_fit(found):
+    folder, _, _, learned = found
+    rows = learned.judged
+    per_place = 2 * 12
+    for _, own in rows[rows["method"] == "calibrated"].groupby(["n_samples", "seed"]):
+        assert len(own["record"].unique()) == len(own) == per_place  # one of four places
+        assert len(set(own["record"] // per_place)) == 1
+    # What judges does not change what is learned: its postures may stand in any order.
+    own = rows[(rows["seed"] == 0) & (rows["n_samples"] == 24)]
+    (place,) = set(own["record"] // per_place)
+    path = folder / f"place{place}" / FILES[0]
+    postures = np.loadtxt(path, delimiter=",")
+    try:
+        np.savetxt(path, postures[::-1], delimiter=",")
+        again = learning_curve(study_of(folder)).judged
+    finally:
+        np.savetxt(path, postures, delimiter=",")
+    other = again[(again["seed"] == 0) & (again["n_samples"] == 24)]
+    np.testing.assert_allclose(np.sort(own["error_mm"]), np.sort(other["error_mm"]), rtol=1e-6)
+
+
+def test_the_arm_itself_is_as_consistent_as_its_noise_and_the_fit_comes_near(found):
+    folder, drawing, arm, learned = found
+
+    def scatter(model):
+        off = []
+        for path in sorted(folder.glob("*/*.csv")):
+            ball = model.forward_mm(np.loadtxt(path, delimiter=","))
+            off += np.linalg.norm(ball - ball.mean(axis=0), axis=1).tolist()
+        return float(np.mean(off))
+
+    means = learned.judged.groupby(["method", "n_samples", "seed"])["error_mm"].mean()
+    assert means["nominal", 0, 0] == pytest.approx(scatter(drawing), rel=1e-9)
+    assert scatter(arm) < 0.1 < 2 < scatter(drawing)
+    assert means["calibrated", 24].median() < 0.5
+    apart = learned.judged.groupby(["method", "n_samples"])["apart_mm"].median()
+    assert apart["calibrated", 24] < 0.3 < apart["nominal", 0]
+
+
+def test_the_sizes_come_out_as_records(found):
+    *_, learned = found
+    runs = learned.runs
+    assert list(runs["n_samples"]) == [0, 8, 24, 8, 24, 8, 24, 8, 24]
+    assert set(learned.left_out) == {"network"}
+
+
+REFUSED = {
+    "degrees": (lambda q: np.degrees(q), "are they in degrees?"),
+    "six joints": (lambda q: q[:, :6], "12 rows of 6 values; give at least 2 rows of 7"),
+    "NaN": (lambda q: np.where(np.arange(12)[:, None] == 4, np.nan, q), "row 5 has a value that"),
+    "one posture": (lambda q: q[:1], "1 rows of 7 values"),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_faulty_files_are_named(tmp_path, fault):
+    change, message = REFUSED[fault]
+    sockets(tmp_path, places=2)
+    path = tmp_path / "place1" / FILES[1]
+    np.savetxt(path, change(np.loadtxt(path, delimiter=",")), delimiter=",")
+    with pytest.raises(IksamplesError) as caught:
+        learning_curve(study_of(tmp_path))
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_a_recording_that_is_not_there_says_where_to_get_it(tmp_path):
+    with pytest.raises(IksamplesError, match=r"It can be had from the shelf\. Its place is"):
+        learning_curve(study_of(tmp_path / "none", source="the shelf"))
+    sockets(tmp_path / "few", places=2, postures=6)
+    with pytest.raises(IksamplesError, match="leaves 12 postures to learn from"):
+        learning_curve(study_of(tmp_path / "few"))
+
+
+@pytest.mark.parametrize("kind", ["sockets", "table"])
+def test_steps_of_a_recorded_study_end_in_a_report(tmp_path, kind):
+    if kind == "sockets":
+        sockets(tmp_path / "in")
+        study = study_of(tmp_path / "in")
+    else:
+        recorded()[2].to_csv(tmp_path / "in.csv", index=False)
+        study = parse_study(
+            {
+                "name": "s",
+                "robot": {"urdf": "config/robots/rrr70.urdf"},
+                "samples": {
+                    "sizes": [8, 16, 32],
+                    "recorded": {"path": str(tmp_path / "in.csv"), "subsets": 15},
+                },
+                "methods": {"calibrated": {"kind": "calibrated"}},
+                "training": {"epochs": 20},
+                "tolerance": {"error_mm": 1, "of": "mean"},
+            }
+        )
+    file, results = tmp_path / "study.json", str(tmp_path / "results" / "s")
+    file.write_text(study.model_dump_json())
+    reports = tmp_path / "reports" / "s"
+    for step in (
+        ["check", str(file)],
+        ["learn", str(file), "--results", results],
+        ["answer", str(file), "--results", results],
+        ["report", str(file), "--results", results, "--output", str(reports)],
+    ):
+        said = CliRunner().invoke(app, step)
+        assert said.exit_code == 0, (step, said.output, said.exception)
+    text = (reports / "README.md").read_text()
+    assert "`calibrated`" in text
+    assert "\\`" not in text
+    assert (reports / "figures" / "learning-curves.png").exists()
+    placed = CliRunner().invoke(app, ["samples", str(file), "--output", str(tmp_path / "x")])
+    assert isinstance(placed.exception, IksamplesError)
