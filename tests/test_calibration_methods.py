@@ -89,10 +89,14 @@ def test_the_fit_expects_of_the_arm_what_the_study_says():
     points = task.reach(region_points(task.region, 500)).joints
     off = fitted.chain.forward_mm(points) - task.arm_of(0).forward_mm(points)
     assert np.abs(off).max() < 1e-3  # without noise the corners are enough
-    # An arm that is expected to be its drawing is left as it is drawn.
-    stiff = {"deviation_mm": 0, "deviation_rad": 0, "noise_mm": 0.1}
+    # An arm that is farther from its drawing than is expected is not held to that.
+    stiff = {"deviation_mm": 0.1, "deviation_rad": 0.001, "noise_mm": 0.1}
     task, fitted = simulated({**rough, "expected": stiff}, 2)
-    assert np.abs(fitted.deviations).max() < 1e-3
+    off = fitted.chain.forward_mm(points) - task.arm_of(0).forward_mm(points)
+    assert np.abs(off).max() < 0.3
+    # One that is its drawing, as is expected, keeps its geometry.
+    task, fitted = simulated({"noise_mm": 0.1, "expected": stiff}, 2)
+    assert np.abs(fitted.deviations).max() < 0.2
     task, fitted = simulated({**rough, "noise_mm": 0.3}, 5)
     assert fitted.noise_mm == 0.3
 

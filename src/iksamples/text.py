@@ -35,6 +35,7 @@ _PLACED = {
     "uniform": "at random in the workspace",
     "joints": "at random in joint space",
     "adaptive": "where trained networks disagreed",
+    "optimal": "where they tell most about the drawing",
     "recorded": "as they were recorded",
 }
 _NO_RECIPE = {"seeds", "first_seed", "snapshots", "engine", "accelerator"}

@@ -8,111 +8,30 @@ zero, so that the fit is a ridge regression and its posterior, linearised at the
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.real import deviated, deviated_pose
+from iksamples.arm.real import deviated_pose
+from iksamples.calibration.known import (
+    FEWEST_FREEDOM,
+    NOISE_MM,
+    NOISE_RAD,
+    SMALLEST_NOISE_MM,
+    UNLIKELY_ARM,
+    Fitted,
+    Prior,
+)
 from iksamples.errors import IksamplesError
-from iksamples.samples.dataset import SampleSet
 from iksamples.study import Expected
 from iksamples.task import Task
 
 
-SMALLEST_NOISE_MM = 1e-6
-"""Noise below this [mm, or mrad for turns] is rounding; it would spoil the solver's condition."""
-FEWEST_FREEDOM = 3.0
-"""Measured numbers beyond those that the fit takes up, below which they do not tell the noise."""
-UNLIKELY = 1e-3
-"""Chance of residuals below which a given noise is not believed."""
-NOISE_MM, NOISE_RAD = 0.1, 0.001
-"""How well a tool is measured where nobody says better: a coordinate, a turn's component."""
 _ROUNDS = 50
-
-
-@dataclass(frozen=True)
-class Prior:
-    """How far an arm may be from its drawing: standard deviations of every component of a row.
-
-    Attributes:
-        displacement_mm: Of the displacements of joints and tool [mm].
-        rotation_rad: Of their rotation vectors [rad].
-        tool_mm: Of the tool's displacement, where that is less certain [mm]; None: like the others.
-    """
-
-    displacement_mm: float = 1.0
-    rotation_rad: float = float(np.radians(1.0))
-    tool_mm: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuses what is no standard deviation."""
-        own = (self.displacement_mm, self.rotation_rad, self.tool_mm or self.displacement_mm)
-        if not (np.isfinite(own).all() and min(own) > 0):
-            raise IksamplesError(
-                f"The prior ({self.displacement_mm:g} mm, {self.rotation_rad:g} rad): how far the "
-                "arm may be from its drawing has to be above zero."
-            )
-
-    def deviations(self, n_joints: int) -> Floats:
-        """Standard deviations of the deviations [mm and rad], shape (joints + 1, 6)."""
-        rows = np.full((n_joints + 1, 6), self.displacement_mm, float)
-        rows[:, 3:] = self.rotation_rad
-        if self.tool_mm:
-            rows[-1, :3] = self.tool_mm
-        return rows
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A fitted drawing.
-
-    Attributes:
-        drawing: What was fitted.
-        deviations: The most probable deviations [mm and rad], shape (joints + 1, 6).
-        root: A square root of the posterior's covariance: deviations are
-            ``deviations + root @ z`` with z standard normal, shape (6 (joints + 1),) * 2.
-        noise_mm: Standard deviation of a measured coordinate, given or estimated [mm].
-        freedom: Measured coordinates less what the fit takes up of them: the degrees of freedom of
-            the residuals, and of the noise where it is estimated.
-        residuals_mm: Where the fitted arm has the tool, less where it was measured [mm], shape
-            (poses, 3); NaN where nothing was measured.
-        centres_mm: The points in which the tool was held [mm], shape (groups, 3); empty where the
-            positions were measured.
-    """
-
-    drawing: SerialChain
-    deviations: Floats
-    root: Floats
-    noise_mm: float
-    freedom: float
-    residuals_mm: Floats
-    centres_mm: Floats = field(default_factory=lambda: np.empty((0, 3)))
-
-    @property
-    def chain(self) -> SerialChain:
-        """The fitted arm."""
-        return deviated(self.drawing, self.deviations)
-
-    @property
-    def noise_is_plausible(self) -> bool:
-        """Whether residuals as large as these are no rarer than one in a thousand."""
-        from scipy.stats import chi2
-
-        squares = float(np.nansum(self.residuals_mm**2)) / self.noise_mm**2
-        return self.freedom < FEWEST_FREEDOM or bool(chi2.sf(squares, self.freedom) > UNLIKELY)
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of the deviations, row after row [mm and rad], shape (parameters,) * 2."""
-        return self.root @ self.root.T
-
-    def draws(self, n: int, generator: np.random.Generator) -> Floats:
-        """Deviations that may be the arm's, drawn from the posterior, shape (n, joints + 1, 6)."""
-        normal = generator.standard_normal((n, len(self.root)))
-        return self.deviations + (normal @ self.root.T).reshape(n, *self.deviations.shape)
 
 
 Misses = Callable[[Floats], tuple[Floats, Floats, Floats, Floats]]
@@ -171,7 +90,19 @@ def fit_arm(
     return replace(fitted, residuals_mm=residuals)
 
 
-def fit_samples(task: Task, samples: SampleSet) -> Fitted:
+class Recorded(Protocol):
+    """Samples, as ``samples.dataset.SampleSet``: inputs (n, d) and joint values (n, joints)."""
+
+    @property
+    def x(self) -> Floats:
+        """Where the tool was measured to be."""
+
+    @property
+    def joints(self) -> Floats:
+        """What the encoders read there."""
+
+
+def fit_samples(task: Task, samples: Recorded) -> Fitted:
     """The task's drawing fitted to samples, in which the tool was measured to be where asked.
 
     With the noise and the prior that the study expects; where the residuals are far beyond that
@@ -184,14 +115,14 @@ def fit_samples(task: Task, samples: SampleSet) -> Fitted:
     position, rotation = task.target.wanted(samples.x)
     unasked = [axis for axis in range(3) if axis not in task.target.positions]
     position[:, unasked] = np.nan
-    noise_mm, noise_rad = expected_noise(task.expected)
+    prior, noise_mm, noise_rad = expectation(task.expected)
 
     def fitted(noise_mm: float | None) -> Fitted:
         return fit_arm(
             task.drawing,
             samples.joints,
             position,
-            prior=expected_prior(task.expected),
+            prior=prior,
             noise_mm=noise_mm,
             measured_rotation=rotation if task.turns else None,
             noise_rad=noise_rad,
@@ -202,21 +133,17 @@ def fit_samples(task: Task, samples: SampleSet) -> Fitted:
     return found if found.noise_is_plausible else fitted(None)
 
 
-def expected_prior(expected: Expected | None) -> Prior:
-    """The prior that a study's expectation of its arm means; the usual one where there is none."""
-    if expected is None:
-        return Prior()
-    return Prior(
-        max(expected.deviation_mm or 0.0, SMALLEST_NOISE_MM),
-        max(expected.deviation_rad or 0.0, SMALLEST_NOISE_MM / 1e3),
-    )
+def expectation(expected: Expected | None) -> tuple[Prior, float, float]:
+    """A study's expectation of its arm; the usual one where it has none.
 
-
-def expected_noise(expected: Expected | None) -> tuple[float, float]:
-    """The noise of a coordinate [mm] and of a turn's component [rad], likewise."""
+    Returns:
+        The prior, and the noise of a coordinate [mm] and of a turn's component [rad].
+    """
     if expected is None:
-        return NOISE_MM, NOISE_RAD
-    return expected.noise_mm or 0.0, expected.noise_rad or 0.0
+        return Prior(), NOISE_MM, NOISE_RAD
+    moved = max(expected.deviation_mm or 0.0, SMALLEST_NOISE_MM)
+    turned = max(expected.deviation_rad or 0.0, SMALLEST_NOISE_MM / 1e3)
+    return Prior(moved, turned), expected.noise_mm or 0.0, expected.noise_rad or 0.0
 
 
 def fit_sockets(
@@ -289,6 +216,7 @@ def _solve(
 
     A noise that is not given is the one of largest evidence: what is left of the squares by what
     the fit leaves of their number (MacKay, "Bayesian interpolation", *Neural Computation* 4, 1992).
+    Likewise a prior that is too narrow for the deviations found is widened until it has room.
 
     Args:
         drawing: The arm as drawn.
@@ -298,6 +226,7 @@ def _solve(
         taken: Numbers that the points' own places take up of those positions.
     """
     from scipy.optimize import least_squares
+    from scipy.stats import chi2
 
     sd = prior.deviations(drawing.n_joints)
     shape, scale = sd.shape, sd.ravel()
@@ -324,19 +253,33 @@ def _solve(
         _, values, right = np.linalg.svd(jacobian(unit), full_matrices=False)
         off, by, _, _ = at(unit.tobytes())
         root = right.T / values
+        told = scale.size - float(np.sum(root**2))  # deviations that the samples tell
+        wide = float(unit @ unit) / max(told, 1e-9)
+        settled = wide <= 1.02 or chi2.sf(unit @ unit, told) > UNLIKELY_ARM
         # The trace of the positions' part of the hat matrix: the numbers that the fit takes up.
         freedom = off.size - taken - float(np.sum((by * scale / noise @ root) ** 2))
-        if noise_mm is not None:
+        if noise_mm is None:
+            if freedom < FEWEST_FREEDOM:
+                raise IksamplesError(
+                    f"{off.size} measured numbers are too few to tell how well they were measured; "
+                    "record more poses, or say it (noise_mm)."
+                )
+            before, noise = noise, max(float(np.sqrt(off @ off / freedom)), SMALLEST_NOISE_MM)
+            settled &= abs(noise - before) <= 1e-3 * noise
+        if settled:
             break
-        if freedom < FEWEST_FREEDOM:
-            raise IksamplesError(
-                f"{off.size} measured numbers are too few to tell how well they were measured; "
-                "record more poses, or say it (noise_mm)."
-            )
-        before, noise = noise, max(float(np.sqrt(off @ off / freedom)), SMALLEST_NOISE_MM)
-        if abs(noise - before) <= 1e-3 * noise:
-            break
-    return Fitted(drawing, rows, scale[:, None] * root, noise, freedom, np.empty((0, 3)))
+        if wide > 1 and chi2.sf(unit @ unit, told) <= UNLIKELY_ARM:
+            scale, unit = scale * np.sqrt(wide), unit / np.sqrt(wide)
+            at.cache_clear()
+    return Fitted(
+        drawing,
+        rows,
+        scale[:, None] * root,
+        noise,
+        freedom,
+        np.empty((0, 3)),
+        noise_estimated=noise_mm is None,
+    )
 
 
 def _turned_off(

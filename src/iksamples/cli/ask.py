@@ -1,13 +1,11 @@
 """Commands for people: what a study will do and has found, the next poses, and a network of it."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from iksamples.cli.common import (
-    Output,
     StudyFile,
     advise,
     app,
@@ -15,13 +13,6 @@ from iksamples.cli.common import (
     require_feasible,
 )
 from iksamples.files import whole_file
-
-
-class Strategy(StrEnum):
-    """How the next poses are chosen."""
-
-    DISAGREEMENT = "disagreement"
-    WORST = "worst"
 
 
 @app.command()
@@ -127,43 +118,6 @@ def recommend(
     typer.echo(advise(results))
     for one in read_replications(results):
         typer.echo(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
-
-
-@app.command("next")
-def next_(
-    study_file: StudyFile,
-    samples_file: Annotated[
-        Path,
-        typer.Option(
-            "--samples",
-            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad, or in "
-            "other units that the names say, such as x_m and q1_deg.",
-        ),
-    ],
-    output: Output,
-    count: Annotated[int, typer.Option("--count", "-k", min=1, help="How many poses.")] = 10,
-    strategy: Annotated[
-        Strategy,
-        typer.Option(help="Where trained seeds disagree most, or where they are worst."),
-    ] = Strategy.DISAGREEMENT,
-    weights: Annotated[
-        Path | None, typer.Option(help="Networks trained on these samples; by default, train now.")
-    ] = None,
-) -> None:
-    """Propose the next poses to record on the arm, inside its limits, as CSV.
-
-    Beside each pose: how far apart the trained seeds send the arm there, and the largest error of
-    a seed (disagreement_mm, error_mm), both by the arm's model.
-    """
-    from iksamples.answer.next_poses import next_poses
-    from iksamples.samples.measured import read_samples
-
-    study, task = open_study(study_file)
-    samples = read_samples(study, task, samples_file)
-    poses = next_poses(study, task, samples, count, strategy.value, weights, progress=True)
-    with whole_file(output) as file:
-        poses.round(4).to_csv(file, index=False)
-    typer.echo(f"{len(poses)} poses written to {output}")
 
 
 @app.command()

@@ -94,7 +94,10 @@ class Recording:
 
 
 def read_recording(
-    path: str | Path, drawing: SerialChain | None, columns: Mapping[str, str] | None = None
+    path: str | Path,
+    drawing: SerialChain | None,
+    columns: Mapping[str, str] | None = None,
+    fewest: int = FEWEST,
 ) -> Recording:
     """Reads a table of records: columns x, y, perhaps z, perhaps an orientation, and the joints.
 
@@ -107,6 +110,7 @@ def read_recording(
         drawing: The arm as drawn, whose joints are looked for; None: every column that is named
             like a joint (``q1``, ``joint_3``, ``q_elbow``) is one.
         columns: What columns are whose names do not say it: ``x_mm`` -> ``tcp x``.
+        fewest: Records needed.
 
     Raises:
         IksamplesError: The file cannot be read, lacks a column or a unit, holds something that is
@@ -123,9 +127,9 @@ def read_recording(
     found, table = find_columns(table, places + joints)
     n_inputs = len(places)
     raw = table.numbers([column.at for column in found])
-    if len(raw) < FEWEST:
+    if len(raw) < fewest:
         raise IksamplesError(
-            f"{path}: {len(raw)} records; at least {FEWEST} are needed to learn from some and "
+            f"{path}: {len(raw)} records; at least {fewest} are needed to learn from some and "
             "judge by others."
         )
     said = ""

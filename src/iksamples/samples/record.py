@@ -9,6 +9,8 @@ import numpy as np
 from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import Solution, followed, require_usable_lattice
 from iksamples.arm.real import RealArm, rotation_of
+from iksamples.calibration.design import CANDIDATES, optimal
+from iksamples.calibration.worst import Measured, drawn
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
@@ -171,6 +173,8 @@ def _place(study: Study, task: Task, design: Design, n: int) -> Floats:
         return _sobol(task.region, n, generator)
     if design == "latin":
         return designs.latin_hypercube(*box, n, generator)
+    if design == "optimal":
+        return _optimal(task, n, lambda k: designs.uniform(*box, k, generator))
     if design == "uniform":
         return _usable(task, n, lambda k: designs.uniform(*box, k, generator))
     return _usable(task, n, lambda k: _from_joints(task, k, generator))
@@ -189,6 +193,14 @@ def _from_joints(task: Task, n: int, generator: np.random.Generator) -> Floats:
     angles = slice(positions.shape[1], len(task.x))
     turned = designs.uniform(task.x.lower[angles], task.x.upper[angles], n, generator)
     return np.concatenate([positions, turned], axis=1)
+
+
+def _optimal(task: Task, n: int, draw: Callable[[int], Floats]) -> Floats:
+    """The drawn inputs that tell most about the drawing, all together, shape (n, d)."""
+    x = _usable(task, max(CANDIDATES, 2 * n), draw)
+    before = drawn(task)
+    informs = Measured.of(task).informs(before, task.reach(x).joints)
+    return x[optimal(before, informs, n)]
 
 
 def _usable(task: Task, n: int, draw: Callable[[int], Floats]) -> Floats:

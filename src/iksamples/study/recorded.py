@@ -96,7 +96,17 @@ class Recorded(Section):
         )
 
 
-Design = Literal["grid", "chebyshev", "sobol", "latin", "uniform", "joints", "adaptive", "recorded"]
+Design = Literal[
+    "grid",
+    "chebyshev",
+    "sobol",
+    "latin",
+    "uniform",
+    "joints",
+    "adaptive",
+    "recorded",
+    "optimal",
+]
 RECORDED: Design = "recorded"
 """The design of samples that are not placed but come from a file."""
 TENSOR: tuple[Design, ...] = ("grid", "chebyshev")
@@ -111,8 +121,9 @@ class Samples(Section):
         min_length=1,
         description="How the points are placed: an even grid, Chebyshev nodes, Sobol points, a "
         "Latin hypercube, uniformly in the workspace, uniformly in joint space, step by step where "
-        "networks trained so far disagree, or as they were recorded (`samples.recorded`). The "
-        "first design fills the table and the report.",
+        "networks trained so far disagree, where they tell most about the drawing's deviations "
+        "(D-optimal), or as they were recorded (`samples.recorded`). The first design fills the "
+        "table and the report.",
     )
     points_per_axis: list[Annotated[int, Field(ge=2, le=32)]] = Field(
         [2, 3, 4, 5, 6, 7, 8],

@@ -1,0 +1,238 @@
+"""`iksamples next`: which poses to record next, for a network or to calibrate a drawing."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from iksamples.cli.common import Arm, Columns, Output, app, arm_settings, columns_of, open_study
+from iksamples.errors import IksamplesError
+from iksamples.files import whole_file
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from iksamples.answer.proposal import Strategy as ProposalStrategy
+    from iksamples.recorded.poses import Calibration
+
+_POSES = 10
+
+
+class Strategy(StrEnum):
+    """How the next poses are chosen."""
+
+    DISAGREEMENT = "disagreement"
+    WORST = "worst"
+    CALIBRATION = "calibration"
+
+
+@app.command("next")
+def next_(
+    output: Output,
+    study_file: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[STUDY]", help="Study file (YAML, or the study.json of a run); or --robot."
+        ),
+    ] = None,
+    robot: Arm = None,
+    tip_link: Annotated[str | None, typer.Option(help="Link whose origin is measured.")] = None,
+    samples_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--samples",
+            help="Samples had so far (CSV or Parquet): x_mm, y_mm, z_mm and q_<joint>_rad, or in "
+            "other units that the names say, such as x_m and q1_deg. A calibration can begin "
+            "without.",
+        ),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count",
+            "-k",
+            min=1,
+            help="How many poses; by default 10 for a network, and for a calibration the fewest "
+            "that are expected to be enough.",
+        ),
+    ] = None,
+    strategy: Annotated[
+        Strategy | None,
+        typer.Option(
+            help="Where trained seeds disagree most (the default of a study), where they are "
+            "worst, or where it tells most about the drawing's deviations (of --robot)."
+        ),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Networks trained on these samples; by default, train now.")
+    ] = None,
+    tolerance_mm: Annotated[
+        float | None, typer.Option(help="Calibration: worst error allowed [mm].")
+    ] = None,
+    confidence: Annotated[
+        float | None, typer.Option(help="Calibration: how sure that has to be.")
+    ] = None,
+    box: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(
+            metavar="X Y Z X Y Z",
+            help="Calibration of --robot: where the tool is used, two corners [mm]; by default "
+            "wherever it gets.",
+        ),
+    ] = None,
+    anywhere: Annotated[
+        bool, typer.Option(help="Calibration: record outside the workspace as well.")
+    ] = False,
+    noise_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Calibration: standard deviation of a measured coordinate [mm]; by default the "
+            "study's, or as the samples show."
+        ),
+    ] = None,
+    deviation_mm: Annotated[
+        float | None,
+        typer.Option(help="Calibration: how far links may be displaced (standard deviation) [mm]."),
+    ] = None,
+    deviation_deg: Annotated[
+        float | None,
+        typer.Option(help="Calibration: how far links may be turned (standard deviation) [deg]."),
+    ] = None,
+    column: Columns = None,
+) -> None:
+    """Propose the next poses to record on the arm, inside its limits, as CSV; or say to stop.
+
+    Beside each pose for a network: how far apart the trained seeds send the arm there, and the
+    largest error of a seed (disagreement_mm, error_mm), both by the arm's model. Poses for a
+    calibration stand in the order of the shortest way.
+    """
+    if (study_file is None) == (robot is None):
+        raise IksamplesError(
+            "name a study, iksamples next STUDY, or an arm, iksamples next --robot arm.urdf."
+        )
+    if robot is not None and strategy not in (None, Strategy.CALIBRATION):
+        raise IksamplesError(f"--strategy {strategy} asks networks: name the study they are of.")
+    if study_file is not None and strategy is not Strategy.CALIBRATION:
+        if samples_file is None:
+            raise IksamplesError("--samples: name the samples that the networks learn from.")
+        _for_network(study_file, samples_file, output, count or _POSES, strategy, weights)
+        return
+    said = {
+        "error_mm": tolerance_mm,
+        "confidence": confidence,
+        "deviation_mm": deviation_mm,
+        "deviation_rad": None if deviation_deg is None else deviation_deg * 0.017453292519943295,
+        "noise_mm": noise_mm,
+    }
+    given = {name: value for name, value in said.items() if value is not None}
+    question = _question(study_file, arm_settings(robot, tip_link), box, given)
+    _for_calibration(question, samples_file, columns_of(column), output, count, anywhere)
+
+
+def _for_network(
+    study_file: Path,
+    samples_file: Path,
+    output: Path,
+    count: int,
+    strategy: Strategy | None,
+    weights: Path | None,
+) -> None:
+    from iksamples.answer.next_poses import next_poses
+    from iksamples.samples.measured import read_samples
+
+    study, task = open_study(study_file)
+    samples = read_samples(study, task, samples_file)
+    how: ProposalStrategy = "worst" if strategy is Strategy.WORST else "disagreement"
+    poses = next_poses(study, task, samples, count, how, weights, progress=True)
+    _write(poses.round(4), output)
+    typer.echo(f"{len(poses)} poses written to {output}")
+
+
+def _question(
+    study_file: Path | None, robot: dict[str, object], box: Any, given: dict[str, float]
+) -> "Calibration":
+    """What is asked: a study's question, or that of an arm, with what the options say instead."""
+    from dataclasses import replace
+
+    from iksamples.recorded.poses import Calibration
+    from iksamples.region import Region
+    from iksamples.study import parse_study
+
+    tolerance: dict[str, float] = {
+        key: value for key, value in given.items() if key in ("error_mm", "confidence")
+    }
+    expected = {key: value for key, value in given.items() if key not in tolerance}
+    if study_file is None:
+        where = "--robot, --tolerance-mm or --confidence"
+        study = parse_study({"name": "arm", "tolerance": tolerance, **robot}, where)
+        asked = Calibration.of(study, None)
+        if box is not None:
+            asked = replace(asked, region=Region.box(box[:3], box[3:]))
+    else:
+        if box is not None:
+            raise IksamplesError("--box: the study has a workspace; give one of the two.")
+        study, task = open_study(study_file)
+        asked = Calibration.of(study, task)
+        asked = replace(asked, tolerance=asked.tolerance.model_copy(update=tolerance))
+    if not 0.5 < asked.tolerance.confidence < 1 or asked.tolerance.error_mm <= 0:
+        raise IksamplesError("--tolerance-mm has to be above 0, --confidence between 0.5 and 1.")
+    if expected.get("noise_mm", 0.0) < 0:
+        raise IksamplesError("--noise-mm has to be at least 0.")
+    prior = replace(
+        asked.prior,
+        displacement_mm=expected.get("deviation_mm", asked.prior.displacement_mm),
+        rotation_rad=expected.get("deviation_rad", asked.prior.rotation_rad),
+    )
+    return replace(asked, prior=prior, noise_mm=expected.get("noise_mm", asked.noise_mm))
+
+
+def _for_calibration(
+    asked: "Calibration",
+    samples_file: Path | None,
+    columns: dict[str, str],
+    output: Path,
+    count: int | None,
+    anywhere: bool,
+) -> None:
+    from iksamples.recorded.poses import in_order
+    from iksamples.recorded.read import read_recording
+
+    recording, n = None, 0
+    if samples_file is not None:
+        recording = read_recording(samples_file, asked.drawing, columns, fewest=1)
+        n = len(recording)
+        for line in recording.remarks:
+            typer.echo(f"Note: {line}", err=True)
+    fitted = asked.fitted(recording)
+    advice, joints = asked.next_poses(fitted, count, anywhere)
+    sure, limit = f"{asked.tolerance.confidence:.0%} confidence", asked.tolerance.error_mm
+    if fitted.noise_estimated and fitted.freedom > 0:
+        typer.echo(f"Noise, as the residuals show it: {fitted.noise_mm:.2g} mm.")
+    where = "wherever the tool gets" if asked.region is None else "over the workspace"
+    now = (
+        "is not known yet"
+        if advice.worst_mm == float("inf")
+        else f"is at most {advice.worst_mm:.3g} mm with {sure}"
+    )
+    typer.echo(f"After {n} poses the worst error of the fitted drawing {where} {now}.")
+    if advice.stop:
+        typer.echo(f"Stop: it is within {limit:g} mm. Nothing is written.")
+        return
+    middle = (asked.drawing.lower + asked.drawing.upper) / 2
+    start = middle if recording is None else recording.joints[-1]
+    _write(in_order(fitted, joints, start).round(6), output)
+    typer.echo(
+        f"Record {len(joints)} more, in the order in which they stand in {output}. Then it is "
+        f"expected to be at most {advice.expected_mm:.3g} mm."
+    )
+    if count is None and advice.expected_mm > limit:
+        typer.echo(
+            f"That is not within {limit:g} mm: measure better, or in more places (--anywhere)."
+        )
+
+
+def _write(poses: "pd.DataFrame", output: Path) -> None:
+    with whole_file(output) as file:
+        poses.to_csv(file, index=False)
