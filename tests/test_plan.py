@@ -91,3 +91,10 @@ def test_the_text_adds_up():
 )
 def test_times_in_words(seconds, text):
     assert in_words(seconds) == text
+
+
+def test_arms_of_which_nothing_can_be_proved_have_a_plan():
+    study = parse_study({**SETTINGS, "arm": {"backlash_rad": 0.01}})
+    steps = {step.step: step for step in plan_study(study, 3).steps}
+    assert "prove" not in steps
+    assert steps["evaluate"].seconds > 0

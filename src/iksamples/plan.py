@@ -307,6 +307,8 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
             again += sum(proofs)
         work["replicate"] = [share * again]
     for step, jobs in work.items():
+        if not jobs:
+            continue
         seconds = [_START[step] + own for own in jobs]
         memory = _training_mb(study, n_joints) if step in ("train", "replicate") else _OTHER_MB
         yield StepPlan(step, len(jobs), sum(seconds), max(seconds), memory)

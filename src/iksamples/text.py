@@ -23,9 +23,9 @@ _OTHERS = {
 }
 _KNOWN = {
     "trigonometric": "that its joints turn",
-    "nominal": "its drawing",
-    "calibrated": "its drawing, and how much arms differ from it",
-    "residual": "its drawing",
+    "nominal": "the drawing",
+    "calibrated": "the drawing and how much arms differ from it",
+    "residual": "the drawing",
 }
 _PLACED = {
     "grid": "on an even grid",

@@ -164,9 +164,9 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
     rows.sort(key=lambda row: row[:2])
     lines = [part for *_, line, _ in rows for part in line.split("\n")]
     longest = max(map(len, lines))
-    height, width = 1.0 + 0.27 * len(rows) + 0.12 * (len(lines) - len(rows)), 7.2
+    height, width = 1.0 + 0.27 * len(rows) + 0.12 * (len(lines) - len(rows)), 8.2
     figure, [[axis]] = figures.panels(
-        1, 1, height, width, left=(0.3 + 0.072 * longest) / width, right=0.97,
+        1, 1, height, width, left=(0.3 + 0.06 * longest) / width, right=0.97,
         bottom=0.8 / height, top=1 - 0.12 / height,
     )  # fmt: skip
     for how, (sign, look) in _AMOUNTS.items():
@@ -182,7 +182,8 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
             axis.annotate(how, (0.01, y), xycoords=("axes fraction", "data"), va="center")
     sizes = [data.compared["n_samples"], pd.Series([n for _, n, *_ in rows if n])]
     figures.scale([axis], "x", pd.concat(sizes), "")
-    axis.set_xlim(right=2.0 * axis.get_xlim()[1])  # room for the last number
+    low, high = axis.get_xlim()
+    axis.set_xlim(right=high * (high / low) ** 0.3)  # room for the last number
     axis.set_ylim(len(rows) - 0.5, -0.5)
     axis.set_yticks(range(len(rows)), [line for *_, line, _ in rows])
     wish = data.answer.tolerance
