@@ -77,7 +77,7 @@ def test_faces_may_be_shared_and_corners_cannot_be_moved():
         region.upper[0, 0] = 5
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     activation=st.sampled_from(["relu", "tanh"]),
@@ -105,12 +105,12 @@ def test_certificates_over_a_union_of_boxes(seed, activation, n):
     inside = rng.uniform(lower, upper, (20_000, 3))
     inside = inside[region.contains(inside)]
     errors = np.linalg.norm(plain_tip(chain, plain_answer(stack, 0, inside)) - inside, axis=1)
-    mean = certify_mean(stack, 0, chain, region, rtol=0.02)
+    mean = certify_mean(stack, 0, chain, region, rtol=0.05)
     assert mean.complete
     slack = 6 * errors.std() / np.sqrt(len(errors))
     assert mean.lower_mm - slack <= errors.mean() <= mean.upper_mm + slack
     tolerance = float(np.median(errors))
-    coverage = certify_coverage(stack, 0, chain, region, tolerance)
+    coverage = certify_coverage(stack, 0, chain, region, tolerance, atol=0.05)
     slack = 3 / np.sqrt(len(errors))
     assert coverage.lower - slack <= 0.5 <= coverage.upper + slack
     centres = 0.5 * (coverage.bad_lower_mm + coverage.bad_upper_mm)
