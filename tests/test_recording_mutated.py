@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from recordings import NAMES, recorded
+from measured_arms import NAMES, recorded
 
 from iksamples.errors import IksamplesError
 from iksamples.recorded.doubts import checked

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from recordings import NAMES, recorded
+from measured_arms import NAMES, recorded
 from typer.testing import CliRunner
 
 from iksamples.cli import app
@@ -67,7 +67,8 @@ def test_the_drawing_is_judged_by_where_it_puts_the_tool(found):
 def test_methods_are_judged_as_the_arm_itself_would(found):
     """The tool of the arm itself, sent to where the fitted drawing's inverse says."""
     study, drawing, arm, table, rows, without = found
-    from iksamples.calibration.fit import Prior, fit_arm
+    from iksamples.calibration.fit import fit_arm
+    from iksamples.calibration.known import Prior
 
     x, q = table[NAMES[:3]].to_numpy(), table[NAMES[3:]].to_numpy()
     learned, held = (part[2] for part in (orders(study, 60).learned, orders(study, 60).held))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recordings import recorded, sockets
+from measured_arms import recorded, sockets
 from typer.testing import CliRunner
 
 from iksamples.cli import app

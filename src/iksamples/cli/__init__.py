@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from iksamples.cli import ask, certify, next, readings, size, steps
+from iksamples.cli import ask, certify, fit_arm, next, readings, size, steps
 from iksamples.cli.common import app
 from iksamples.errors import IksamplesError
 

@@ -160,15 +160,15 @@ def _models(
     """Models of the arm: the drawing, or what is fitted to it."""
     if kind == "nominal":
         rows = np.arange(len(recording))
-        yield _frame(0, 0, rows, *_off(task.drawing, recording, rows))
+        yield _frame(0, 0, rows, *off_model(task.drawing, recording, rows))
         return
     for n in study.sizes:
         for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
             model = fit_samples(task, beginning(whole, learned[:n])).chain
-            yield _frame(n, seed, held, *_off(model, recording, held))
+            yield _frame(n, seed, held, *off_model(model, recording, held))
 
 
-def _off(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floats, Floats]:
+def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floats, Floats]:
     """How far a model puts the tool from where it was measured [mm], and how it turns it [deg]."""
     position, rotation = model.pose(recording.joints[rows])
     seen = recording.positions

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.calibration.fit import Prior, fit_sockets
+from iksamples.calibration.fit import fit_sockets
+from iksamples.calibration.known import Prior
 from iksamples.errors import IksamplesError
 from iksamples.recorded.doubts import MOST_RAD
 from iksamples.study import Recorded, Study
