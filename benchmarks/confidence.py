@@ -16,9 +16,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binom, norm
 
-from iksamples.answer.collect import Variant, read_runs, variants
+from iksamples.answer.collect import Variant, outcomes, read_runs, variants
 from iksamples.answer.extrapolate import Forecast, extrapolate, forecast, seen, shape
-from iksamples.answer.outcomes import outcomes
 from iksamples.answer.sizes import Trials, confidence_of_each, smallest_met
 from iksamples.stats import Floats, met_needed, seeds_needed
 from iksamples.study import Study, parse_study, read_study

@@ -16,8 +16,7 @@ from certificate_cases import plain_tip, points_in, random_network, turned_away
 
 from iksamples.answer.assess import answer
 from iksamples.answer.collect import FILE as RUNS_FILE
-from iksamples.answer.collect import read_runs
-from iksamples.answer.outcomes import outcomes
+from iksamples.answer.collect import outcomes, read_runs
 from iksamples.certify.proof import rounded_up
 from iksamples.certify.readers.layers import fed_as, read_as
 from iksamples.certify.readers.network import load_network, prove

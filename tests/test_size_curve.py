@@ -7,7 +7,7 @@ from scipy.stats import binomtest
 from typer.testing import CliRunner
 
 from iksamples.answer.assess import answer
-from iksamples.answer.outcomes import outcomes
+from iksamples.answer.collect import outcomes
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
 from iksamples.recorded.curve import read_curve

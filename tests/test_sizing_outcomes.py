@@ -6,10 +6,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from iksamples.answer.assess import answer_study
-from iksamples.answer.collect import Variant, collect, read_runs, variants
+from iksamples.answer.collect import (
+    COLUMNS,
+    Variant,
+    collect,
+    errors_at_samples,
+    outcomes,
+    read_runs,
+    variants,
+)
 from iksamples.answer.diagnosis import diagnose, loss_fall
 from iksamples.answer.extrapolate import errors_matrix
-from iksamples.answer.outcomes import COLUMNS, errors_at_samples, outcomes
 from iksamples.columns import RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.paths import count_waypoints

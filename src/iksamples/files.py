@@ -61,6 +61,29 @@ def checked(path: str | Path) -> Path:
     )
 
 
+def read_bytes(path: str | Path, most: int, what: str) -> bytes:
+    """The content of a file that somebody wrote.
+
+    Args:
+        path: The file.
+        most: Bytes of the largest that is read.
+        what: What it holds, for the message: ``the arm``.
+
+    Raises:
+        IksamplesError: It cannot be read, or is larger.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(most + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise IksamplesError(f"{path}: cannot read {what} ({reason}).") from None
+    if len(content) > most:
+        size = f"{most // 10**6} MB" if most >= 10**6 else f"{most // 1000} kB"
+        raise IksamplesError(f"{path}: over {size} is no {what.removeprefix('the ')}.")
+    return content
+
+
 def is_intact(path: Path) -> bool:
     """Whether a file is there, has a digest, and is as it was written."""
     try:

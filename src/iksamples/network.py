@@ -1,7 +1,7 @@
 """The trained networks as plain arrays: what every later step reads, without torch."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -85,24 +85,38 @@ class StackedMLP:
     def save(self, path: str | Path) -> None:
         """Writes the stack as a safetensors file, which runs no code when it is loaded."""
         tensors = {"offset": self.offset, "scale": self.scale}
-        for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(weight)
-            tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
+        tensors |= layer_tensors(self.weights, self.biases)
         write_tensors(path, tensors, {"activation": self.activation, "seeds": list(self.seeds)})
 
     @classmethod
     def load(cls, path: str | Path) -> "StackedMLP":
         """Reads what ``save`` wrote."""
         tensors, header = read_tensors(path)
-        depths = range(sum(key.endswith(".weight") for key in tensors))
         return cls(
-            tuple(tensors[f"layers.{depth}.weight"] for depth in depths),
-            tuple(tensors[f"layers.{depth}.bias"] for depth in depths),
+            *layers_of(tensors),
             header["activation"],
             tensors["offset"],
             tensors["scale"],
             tuple(header["seeds"]),
         )
+
+
+def layer_tensors(weights: Sequence[NDArray], biases: Sequence[NDArray]) -> dict[str, NDArray]:
+    """The layers of networks, stacked in whatever way, by the names that they have in a file."""
+    return {
+        f"layers.{depth}.{part}": np.ascontiguousarray(array)
+        for depth, layer in enumerate(zip(weights, biases, strict=True))
+        for part, array in zip(("weight", "bias"), layer, strict=True)
+    }
+
+
+def layers_of(tensors: dict[str, NDArray]) -> tuple[tuple[Weights, ...], tuple[Weights, ...]]:
+    """The weights and the biases among the tensors of a file, ``layer_tensors`` undone."""
+    depths = range(sum(key.endswith(".weight") for key in tensors))
+    weights, biases = (
+        tuple(tensors[f"layers.{depth}.{part}"] for depth in depths) for part in ("weight", "bias")
+    )
+    return weights, biases
 
 
 def write_tensors(path: str | Path, tensors: dict[str, NDArray], header: dict[str, Any]) -> None:

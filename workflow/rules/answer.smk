@@ -131,7 +131,7 @@ rule replicate:
         ),
         code=source_digest(
             "iksamples.answer.replication",
-            "iksamples.answer.outcomes",
+            "iksamples.answer.collect",
             "iksamples.training.run",
             "iksamples.evaluation.errors",
             "iksamples.certify.step",

@@ -19,10 +19,9 @@ from iksamples.answer.answer import (
     Status,
     VariantAnswer,
 )
-from iksamples.answer.collect import WORKSPACE, Variant, read_runs, variants
+from iksamples.answer.collect import WORKSPACE, Variant, outcomes, read_runs, variants
 from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
-from iksamples.answer.outcomes import outcomes
 from iksamples.answer.sentences import floor_told, headline, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.columns import RUNS

@@ -1,27 +1,26 @@
-"""One tidy table per study: what every training came to, and what is proved of it.
+"""One tidy table per study: what every training came to, what is proved, and how it is judged.
 
 It is the only place where certificates are joined to errors and where diverged seeds are marked.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
+from iksamples.arm.chain import Floats
 from iksamples.columns import ANGLES, ERRORS, RUNS
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import CUBE
+from iksamples.evaluation.errors import CUBE, send
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.files import checked
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells, certified, networks
-from iksamples.study import Study
+from iksamples.samples.dataset import SampleSet
+from iksamples.study import Study, Tolerance
+from iksamples.task import study_task
 
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from iksamples.samples.dataset import SampleSet
 
 FILE = "runs.parquet"
 WORKSPACE = "workspace"
@@ -41,7 +40,7 @@ class Variant(NamedTuple):
     design: str
 
 
-def collect(study: Study, results: str | Path) -> "pd.DataFrame":
+def collect(study: Study, results: str | Path) -> pd.DataFrame:
     """Every training of a study, as one table.
 
     Args:
@@ -56,8 +55,6 @@ def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     Raises:
         IksamplesError: The study is not finished, or a certificate contradicts what was measured.
     """
-    import pandas as pd
-
     sets: dict[str, SampleSet] = {}
     frames = []
     for name in study.all_methods:
@@ -81,14 +78,12 @@ def collect(study: Study, results: str | Path) -> "pd.DataFrame":
     return rows[list(RUNS)]
 
 
-def certificates(study: Study, results: str | Path) -> "pd.DataFrame":
+def certificates(study: Study, results: str | Path) -> pd.DataFrame:
     """The certificates of all methods that can have some, a row per network.
 
     Raises:
         IksamplesError: A file is missing, or has a network twice.
     """
-    import pandas as pd
-
     frames = []
     for name in certified(study):
         file = Path(results) / name / "certificates.csv"
@@ -106,14 +101,12 @@ def certificates(study: Study, results: str | Path) -> "pd.DataFrame":
     return table
 
 
-def read_runs(results: str | Path) -> "pd.DataFrame":
+def read_runs(results: str | Path) -> pd.DataFrame:
     """What ``collect`` found, from the results folder of a finished study.
 
     Raises:
         IksamplesError: There is no such file, or it is of another version.
     """
-    import pandas as pd
-
     file = Path(results) / FILE
     try:
         table = pd.read_parquet(checked(file))
@@ -127,16 +120,14 @@ def read_runs(results: str | Path) -> "pd.DataFrame":
     return table
 
 
-def variants(runs: "pd.DataFrame") -> "dict[Variant, pd.DataFrame]":
+def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
     """The rows of each method on each design, in their order."""
     groups = runs.groupby(["method", "design"], sort=False)
     return {Variant(str(method), str(design)): rows for (method, design), rows in groups}
 
 
-def _measured(study: Study, cell: Cell, samples: "SampleSet") -> "pd.DataFrame":
+def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
-    import pandas as pd
-
     trained = cell.method in networks(study)
     try:
         errors = cell.table("errors").reset_index(drop=True)
@@ -183,7 +174,7 @@ def _points_measured(study: Study, where: str) -> int:
     return count_waypoints(study.evaluation.paths[where])
 
 
-def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":
+def _bounds(certificates: pd.DataFrame) -> pd.DataFrame:
     """The certificates' columns, ready to be joined to the rows of the workspace."""
     # There are no angles where the tool's orientation is not asked for.
     table = certificates.reindex(columns=[*_KEYS, *_SUP, *_MEAN, "verified"])
@@ -194,7 +185,7 @@ def _bounds(certificates: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def _require_agreement(rows: "pd.DataFrame") -> None:
+def _require_agreement(rows: pd.DataFrame) -> None:
     """No error was measured above its bound."""
     for measured, bound in (("error_max_mm", "sup_upper_mm"), ("angle_max_deg", "angle_upper_deg")):
         broken = rows[rows[measured] > rows[bound] * (1 + _ROUNDING)]
@@ -206,3 +197,95 @@ def _require_agreement(rows: "pd.DataFrame") -> None:
                 f"{unit}. The certificates are not of these networks; delete "
                 f"{first['method']}/certificates.csv and run again."
             )
+
+
+COLUMNS = (
+    "method",
+    "design",
+    "label",
+    "n_samples",
+    "seed",
+    "region_share",
+    "n_points",
+    "error_mm",
+    "certified",
+    "attained_mm",
+)
+"""Columns of the outcomes; ``outcomes`` says what they hold."""
+
+
+def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
+    """One row for each training, with the error that the study's tolerance is about.
+
+    For the worst case over the workspace that is the proved upper bound where there is one, and
+    else the largest error measured, which is less than the true worst case. Everything else is
+    measured. Where the tolerance has an angle, a degree counts as so many millimetres that both are
+    allowed as much. A training that diverged has an infinite error: it failed.
+
+    Args:
+        study: The study; its ``tolerance`` says which error.
+        runs: What ``collect`` found.
+
+    Returns:
+        Columns ``COLUMNS``, in the order of ``runs``. ``error_mm`` is what is held against the
+        tolerance, ``certified`` whether it is a proved upper bound, and ``attained_mm`` an error
+        that is known to occur: the largest of what was measured and the proof's lower bound.
+    """
+    tolerance = study.tolerance
+    rows = runs[runs["region"] == tolerance.where].reset_index(drop=True)
+    statistic = "max" if tolerance.of == "worst" else tolerance.of
+    # What is measured, what of it is proved, and millimetres for each unit of it.
+    parts = [(f"error_{statistic}_mm", "sup_lower_mm", "sup_upper_mm", 1.0)]
+    mm_per_deg = _mm_per_deg(tolerance)
+    if mm_per_deg is not None:
+        parts.append((f"angle_{statistic}_deg", "angle_lower_deg", "angle_upper_deg", mm_per_deg))
+    rows[["error_mm", "attained_mm"]] = -np.inf
+    rows["certified"] = tolerance.certifiable
+    for measured, lower, upper, mm in parts:
+        seen = rows[measured].where(~rows["diverged"], np.inf).fillna(np.inf)
+        proved = rows[upper].notna() & tolerance.certifiable
+        attained = seen.clip(lower=rows[lower].fillna(0)).clip(upper=rows[upper].fillna(np.inf))
+        rows["error_mm"] = np.fmax(rows["error_mm"], mm * rows[upper].where(proved, seen))
+        rows["attained_mm"] = np.fmax(rows["attained_mm"], mm * attained.where(proved, seen))
+        rows["certified"] &= proved
+    return rows[list(COLUMNS)]
+
+
+def errors_at_samples(study: Study, cell: Cell) -> Floats | None:
+    """The error of each sound seed at the very samples it was trained on.
+
+    Args:
+        study: The study; its tolerance says which statistic over the samples.
+        cell: A network on a set of samples.
+
+    Returns:
+        One error per seed [mm], an angle counted as in ``outcomes``; None where this cannot be
+        said, since the tolerance is about a path or samples were held out.
+    """
+    tolerance = study.tolerance
+    held_out = study.all_methods[cell.method].training.held_out.source == "grid"
+    if tolerance.where != WORKSPACE or held_out:
+        return None
+    at = send(cell.network, study_task(study, cell.samples.region), cell.samples.x)
+    sound = np.isfinite(at.error_mm).all(axis=1)
+    worst = np.full(sound.sum(), -np.inf)
+    for measured, mm in ((at.error_mm, 1.0), (at.angle_deg, _mm_per_deg(tolerance))):
+        if mm is None or measured is None:
+            continue
+        errors = measured[sound]
+        if tolerance.of == "mean":
+            found = errors.mean(axis=1)
+        else:
+            share = {"worst": 1.0, "p99": 0.99, "p95": 0.95}[tolerance.of]
+            found = np.quantile(errors, share, axis=1)
+        worst = np.maximum(worst, mm * found)
+    return worst
+
+
+def _mm_per_deg(tolerance: Tolerance) -> float | None:
+    """Both measures are met where the larger, each as a share of what is allowed, is at most one.
+
+    Returns:
+        Millimetres that a degree counts as; None where the angle is not judged.
+    """
+    return tolerance.error_mm / tolerance.angle_deg if tolerance.angle_deg else None

@@ -1,13 +1,12 @@
 """Why a method fails: only what the study's own data show, each with its number."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.answer import Diagnosis, Size
-from iksamples.answer.collect import Variant
-from iksamples.answer.outcomes import errors_at_samples
+from iksamples.answer.collect import Variant, errors_at_samples
 from iksamples.results import Cell
 from iksamples.stats import FEWEST_SEEDS, Interval, compare, draws, interval
 from iksamples.study import Study
@@ -20,9 +19,6 @@ from iksamples.text import (
     several,
 )
 
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FALLING = 0.02
 """A training counts as unfinished where its loss still falls by a larger share per tenth of it."""
@@ -65,7 +61,7 @@ def diagnose(
     return [cause for cause in found if cause is not None]
 
 
-def loss_fall(history: "pd.DataFrame", rng: np.random.Generator) -> Interval:
+def loss_fall(history: pd.DataFrame, rng: np.random.Generator) -> Interval:
     """By which share the training loss falls from the last but one tenth of training to the last.
 
     Args:

@@ -16,9 +16,10 @@ Otherwise the answer is the size to record next. docs/confidence.md says how oft
 holds, on studies and on made-up curves.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.answer import Curve, Extrapolation
 from iksamples.answer.collect import Variant
@@ -27,9 +28,6 @@ from iksamples.answer.sizes import is_random, required_share
 from iksamples.stats import FEWEST_SEEDS, LEVEL, Draws, Floats, Interval, draws, share_quantile
 from iksamples.study import RECORDED, TENSOR, Study
 
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 STREAM = 20260523
 """Seed of the resampling: the same results have the same answer, and all variants the same."""
@@ -68,7 +66,7 @@ class Forecast(NamedTuple):
     reason: str
 
 
-def errors_matrix(rows: "pd.DataFrame") -> "pd.DataFrame":
+def errors_matrix(rows: pd.DataFrame) -> pd.DataFrame:
     """Errors of one variant [mm], a row per seed and a column per number of samples.
 
     Only the seeds that every number of samples has, so that a row is the same seed all along.
@@ -76,7 +74,7 @@ def errors_matrix(rows: "pd.DataFrame") -> "pd.DataFrame":
     return rows.pivot(index="seed", columns="n_samples", values="error_mm").dropna()
 
 
-def seen(study: Study, variant: Variant, rows: "pd.DataFrame") -> tuple[Floats, Floats]:
+def seen(study: Study, variant: Variant, rows: pd.DataFrame) -> tuple[Floats, Floats]:
     """A variant's learning curve and its resamples.
 
     Args:

@@ -1,8 +1,8 @@
 """Whether an answer keeps its word: the same trainings again, with fresh seeds."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import pandas as pd
 from pydantic import Field, TypeAdapter
 
 from iksamples.answer.answer import Answer, Part, VariantAnswer
@@ -14,9 +14,6 @@ from iksamples.stats import Interval, best_of_share, share_interval
 from iksamples.study import Study, Tolerance
 from iksamples.text import percent, several
 
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FILE = "replication.json"
 FRESH = "fresh"
@@ -102,7 +99,7 @@ def fresh_study(study: Study, one: VariantAnswer) -> Study:
     )
 
 
-def replication(tolerance: Tolerance, one: VariantAnswer, fresh: "pd.DataFrame") -> Replication:
+def replication(tolerance: Tolerance, one: VariantAnswer, fresh: pd.DataFrame) -> Replication:
     """Holds an answer against fresh trainings.
 
     The answer promises a share; the size below is only not promised. So a size below that does as
@@ -168,7 +165,7 @@ def to_json(found: list[Replication]) -> str:
     return _LIST.dump_json(found, indent=2).decode() + "\n"
 
 
-def _rate(tolerance: Tolerance, n: int, group: "pd.DataFrame") -> HitRate:
+def _rate(tolerance: Tolerance, n: int, group: pd.DataFrame) -> HitRate:
     met, n_seeds = int((group["error_mm"] <= tolerance.error_mm).sum()), len(group)
     ends = (best_of_share(share, tolerance.best_of) for share in share_interval(met, n_seeds))
     return HitRate(n_samples=n, n_seeds=n_seeds, n_met=met, success=Interval(*ends))

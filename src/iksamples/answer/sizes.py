@@ -20,9 +20,10 @@ A method that leaves nothing to chance meets the tolerance or does not, and shar
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.answer import Confidence, Size
 from iksamples.answer.collect import Variant
@@ -30,10 +31,6 @@ from iksamples.errors import IksamplesError
 from iksamples.methods.registry import KINDS
 from iksamples.stats import Floats, best_of_share, met_needed, share_lower, single_share
 from iksamples.study import Study, Tolerance
-
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class Trials(NamedTuple):
@@ -53,7 +50,7 @@ def is_random(study: Study, method: str) -> bool:
     )
 
 
-def by_size(rows: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":
+def by_size(rows: pd.DataFrame) -> list[tuple[int, pd.DataFrame]]:
     """The outcomes of one variant for each number of samples, fewest first.
 
     Raises:
@@ -70,7 +67,7 @@ def by_size(rows: "pd.DataFrame") -> "list[tuple[int, pd.DataFrame]]":
 
 
 def judge(
-    study: Study, outcomes: "Mapping[Variant, pd.DataFrame]"
+    study: Study, outcomes: Mapping[Variant, pd.DataFrame]
 ) -> tuple[Confidence, dict[Variant, list[Size]]]:
     """Holds every size of every variant against the tolerance.
 
@@ -108,7 +105,7 @@ def required_share(tolerance: Tolerance) -> float:
     return single_share(tolerance.success_share, tolerance.best_of)
 
 
-def trials_of(groups: "Sequence[tuple[int, pd.DataFrame]]", tolerance_mm: float) -> Trials:
+def trials_of(groups: Sequence[tuple[int, pd.DataFrame]], tolerance_mm: float) -> Trials:
     """How many trainings of each size met a tolerance."""
     errors = [group["error_mm"].to_numpy(float) for _, group in groups]
     return Trials([len(e) for e in errors], [int((e <= tolerance_mm).sum()) for e in errors])
@@ -166,7 +163,7 @@ def _shared(left: Sequence[Trials], share: float, together: float) -> float:
     return 1 - (1 - together) / len(left)  # too few trainings for any
 
 
-def _size(n: int, group: "pd.DataFrame", tolerance: Tolerance, confidence: float | None) -> Size:
+def _size(n: int, group: pd.DataFrame, tolerance: Tolerance, confidence: float | None) -> Size:
     """One size; ``confidence`` is None for a method without chance."""
     errors: Floats = np.sort(group["error_mm"].to_numpy(float))
     met = group["error_mm"] <= tolerance.error_mm

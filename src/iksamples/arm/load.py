@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import KINDS, MM_PER_M, Floats, Joint, Kind, SerialChain, assemble, number
 from iksamples.errors import IksamplesError
+from iksamples.files import read_bytes
 
 
 _UNITS = {"mm": 1 / MM_PER_M, "m": 1.0, "deg": np.pi / 180, "rad": 1.0}
@@ -183,7 +184,9 @@ def load_arm(
         IksamplesError: One line that says what is wrong with the file, and what to do.
     """
     path = Path(path)
-    content = _read(path)
+    content = read_bytes(path, MOST_BYTES, "the arm")
+    if not content.strip():
+        raise IksamplesError(f"{path}: the file is empty.")
     try:
         if content.lstrip().startswith(b"version https://git-lfs"):
             raise IksamplesError("a pointer of Git LFS, not the file itself; run 'git lfs pull'.")
@@ -203,17 +206,3 @@ def load_arm(
         raise IksamplesError(
             message if message.startswith(f"{path}:") else f"{path}: {message}"
         ) from None
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise IksamplesError(f"{path}: cannot read the arm ({reason}).") from None
-    if len(content) > MOST_BYTES:
-        raise IksamplesError(f"{path}: over {MOST_BYTES // 1_000_000} MB is no arm's description.")
-    if not content.strip():
-        raise IksamplesError(f"{path}: the file is empty.")
-    return content

@@ -101,7 +101,7 @@ def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
 
 def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
     from iksamples.answer.assess import answer
-    from iksamples.answer.outcomes import outcomes
+    from iksamples.answer.collect import outcomes
     from iksamples.recorded.curve import read_curve
     from iksamples.recorded.told import asked, beyond, sizes_table, verdict
 

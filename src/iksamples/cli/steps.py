@@ -249,8 +249,7 @@ def table(study_file: StudyFile, results: Results) -> None:
 def answer(study_file: StudyFile, results: Results) -> None:
     """Answer how many samples each method needs: answer.json and samples-needed.csv."""
     from iksamples.answer.assess import answer_study, samples_needed
-    from iksamples.answer.collect import read_runs
-    from iksamples.answer.outcomes import outcomes
+    from iksamples.answer.collect import outcomes, read_runs
     from iksamples.study import read_study
 
     study = read_study(study_file)
@@ -270,8 +269,7 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
     fresh/ among its results.
     """
     from iksamples.answer.answer import read_answer
-    from iksamples.answer.collect import read_runs
-    from iksamples.answer.outcomes import outcomes
+    from iksamples.answer.collect import outcomes, read_runs
     from iksamples.answer.replication import (
         FRESH,
         answers_to_replicate,

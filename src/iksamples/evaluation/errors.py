@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.arm.chain import Floats
@@ -14,15 +14,11 @@ from iksamples.arm.real import Arm, RealArm
 from iksamples.evaluation.paths import waypoints
 from iksamples.methods.predictor import NotApplicableError, Predictor
 from iksamples.methods.registry import KINDS, fit_each
-from iksamples.network import StackedMLP, read_tensors
+from iksamples.network import StackedMLP, layers_of, read_tensors
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
 from iksamples.study import Evaluation, Study
 from iksamples.task import Task
-
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 CUBE = "cube"
@@ -83,15 +79,13 @@ def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
     )
 
 
-def track_paths(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd.DataFrame":
+def track_paths(evaluation: Evaluation, task: Task, predictor: Predictor) -> pd.DataFrame:
     """Every waypoint of every path for every seed.
 
     Returns:
         Columns path, waypoint, seed, pen_up, target_* (the inputs), reached_*_mm, q_* (the joints),
         error_mm and, where the tool's orientation is asked for, angle_deg.
     """
-    import pandas as pd
-
     frames = []
     for name, path in evaluation.paths.items():
         x, pen_up = waypoints(path, task)
@@ -114,15 +108,13 @@ def track_paths(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd
     return pd.concat(frames, ignore_index=True)
 
 
-def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd.DataFrame":
+def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> pd.DataFrame:
     """The error at every point of the region's dense set for every seed.
 
     Returns:
         Columns point, seed, error_mm and, where the tool's orientation is asked for, angle_deg;
         point counts along ``region_points``.
     """
-    import pandas as pd
-
     points = region_points(task.region, evaluation.cube_points)
     errors = send(predictor, task, points).errors()
     return pd.DataFrame(
@@ -134,7 +126,7 @@ def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> "pd
     )
 
 
-def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame":
+def summarise(waypoints: pd.DataFrame, cube: pd.DataFrame) -> pd.DataFrame:
     """Mean, 95th and 99th percentile and maximum of each error, a row for each region and seed.
 
     Args:
@@ -145,8 +137,6 @@ def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame"
         Columns region, seed, error_mean_mm, error_p95_mm, error_p99_mm, error_max_mm, and the same
         of angle_*_deg where the tool's orientation is asked for.
     """
-    import pandas as pd
-
     measures = [name for name in MEASURES if name in cube]
     everything = pd.concat(
         [
@@ -167,7 +157,7 @@ def summarise(waypoints: "pd.DataFrame", cube: "pd.DataFrame") -> "pd.DataFrame"
 
 def evaluate(
     study: Study, task: Task, samples: SampleSet, method: str, folder: Path
-) -> "tuple[dict[str, pd.DataFrame], str | None]":
+) -> tuple[dict[str, pd.DataFrame], str | None]:
     """Measures a method's errors along the paths and over the workspace.
 
     Args:
@@ -181,8 +171,6 @@ def evaluate(
         A table for each of ``TABLES``, and None; or empty tables and why the method cannot use
         these samples.
     """
-    import pandas as pd
-
     own = study.all_methods[method]
     try:
         predictor: Predictor = (
@@ -204,7 +192,7 @@ def evaluate(
 MAX_EPOCHS = 60
 
 
-def median_seed(waypoints: "pd.DataFrame") -> int:
+def median_seed(waypoints: pd.DataFrame) -> int:
     """The seed whose mean error on a path is the median over the seeds.
 
     Of an even number of seeds it is the better of the middle two, so that it is always a network
@@ -233,11 +221,7 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
     row = header["seeds"].index(seed)
     epochs = tensors["epochs"].astype(np.int64)
     kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
-    layers = range(sum(key.endswith(".weight") for key in tensors))
-    weights, biases = (
-        tuple(tensors[f"layers.{i}.{part}"][:, row][kept] for i in layers)
-        for part in ("weight", "bias")
-    )
+    weights, biases = (tuple(array[:, row][kept] for array in part) for part in layers_of(tensors))
     stack = StackedMLP(
         weights,
         biases,
@@ -275,7 +259,7 @@ class OwnInverse:
         return np.stack(answers)
 
 
-def repeatability(study: Study, task: Task) -> "pd.DataFrame":
+def repeatability(study: Study, task: Task) -> pd.DataFrame:
     """What is left of the error of each arm's own inverse, by the play and the steps of its joints.
 
     Args:

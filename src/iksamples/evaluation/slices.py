@@ -1,8 +1,7 @@
 """Errors on slices through the workspace, for the report's map of where a network is bad."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
 
 from iksamples.evaluation.errors import send
 from iksamples.network import StackedMLP
@@ -10,14 +9,11 @@ from iksamples.samples.record import region_points
 from iksamples.task import Task
 
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 POINTS = 49
 """Points along each side of a slice."""
 
 
-def error_slices(task: Task, network: StackedMLP, seed: int, n_points: int) -> "pd.DataFrame":
+def error_slices(task: Task, network: StackedMLP, seed: int, n_points: int) -> pd.DataFrame:
     """The error of one network on planes of two inputs.
 
     Of three inputs the planes are of the first two, at the bottom, in the middle and at the top of
@@ -34,8 +30,6 @@ def error_slices(task: Task, network: StackedMLP, seed: int, n_points: int) -> "
         One row per point: seed, slice (in words), the inputs (x_mm, y_mm, ...), error_mm, and
         angle_deg where the tool's orientation is asked for. Outside the region the errors are NaN.
     """
-    import pandas as pd
-
     one = network.select([network.seeds.index(seed)])
     lower, upper, names = task.x.lower, task.x.upper, task.x.names
     d, middle = len(names), (lower + upper) / 2

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from iksamples.answer.answer import Size, VariantAnswer
 from iksamples.answer.assess import answer
-from iksamples.answer.outcomes import outcomes
+from iksamples.answer.collect import outcomes
 from iksamples.recorded.learn import Learned
 from iksamples.stats import share_lower
 from iksamples.study import Study, Tolerance

@@ -17,6 +17,7 @@ import yaml
 from pydantic import ValidationError
 
 from iksamples.errors import IksamplesError
+from iksamples.files import read_bytes
 from iksamples.study.evaluation import SHAPES
 from iksamples.study.sections import NAMES, without_password
 from iksamples.study.study import Study, overlay
@@ -107,14 +108,7 @@ def read_settings(path: str | Path) -> dict[str, Any]:
     Raises:
         IksamplesError: The file cannot be read, or is not one mapping of names to settings.
     """
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise IksamplesError(f"{path}: cannot read the study file ({reason}).") from None
-    if len(content) > MOST_BYTES:
-        raise IksamplesError(f"{path}: over {MOST_BYTES // 1000} kB is no study file.")
+    content = read_bytes(path, MOST_BYTES, "the study file")
     try:
         settings = yaml.load(content, _Loader)
     except IksamplesError as error:

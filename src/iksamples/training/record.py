@@ -1,6 +1,6 @@
 """What a training leaves behind: plain arrays, and the four files that every later step reads."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.files import kept_file
-from iksamples.network import StackedMLP, write_tensors
+from iksamples.network import StackedMLP, layer_tensors, write_tensors
 from iksamples.samples.dataset import SampleSet
 from iksamples.training.problem import Problem
 
@@ -104,6 +104,25 @@ class Record:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
+def layers(flat: Any, sizes: Sequence[int]) -> Iterator[tuple[Any, Any]]:
+    """Views of flat parameters as kernels and biases, layer by layer.
+
+    Args:
+        flat: An array or a tensor, shape (..., parameters): kernel (row by row), bias, next kernel,
+            and so on.
+        sizes: Neurons of each layer.
+
+    Yields:
+        Kernel, shape (..., in, out), and bias, shape (..., out).
+    """
+    at = 0
+    for fan_in, fan_out in pairwise(sizes):
+        kernel = flat[..., at : at + fan_in * fan_out]
+        at += fan_in * fan_out
+        yield kernel.reshape(*flat.shape[:-1], fan_in, fan_out), flat[..., at : at + fan_out]
+        at += fan_out
+
+
 def unstack(
     flat: Singles, sizes: Sequence[int], output_scale: NDArray[np.float64]
 ) -> tuple[tuple[Singles, ...], tuple[Singles, ...]]:
@@ -118,16 +137,9 @@ def unstack(
     Returns:
         Kernels, one per layer, shape (..., in, out), and biases, shape (..., out).
     """
-    kernels, biases, at = [], [], 0
-    for fan_in, fan_out in pairwise(sizes):
-        kernel = flat[..., at : at + fan_in * fan_out]
-        kernels.append(kernel.reshape(*flat.shape[:-1], fan_in, fan_out))
-        at += fan_in * fan_out
-        biases.append(flat[..., at : at + fan_out])
-        at += fan_out
+    kernels, biases = zip(*layers(flat, sizes), strict=True)
     scale = output_scale.astype(np.float32)
-    kernels[-1], biases[-1] = kernels[-1] * scale, biases[-1] * scale
-    return tuple(kernels), tuple(biases)
+    return (*kernels[:-1], kernels[-1] * scale), (*biases[:-1], biases[-1] * scale)
 
 
 def stack(kernels: Sequence[Singles], biases: Sequence[Singles]) -> Singles:
@@ -176,15 +188,12 @@ def final_network(problem: Problem, samples: SampleSet, record: Record) -> Stack
 
 
 def _save_snapshots(path: Path, problem: Problem, network: StackedMLP, record: Record) -> None:
-    kernels, biases = unstack(record.snapshots, problem.sizes, problem.output_scale)
-    tensors: dict[str, np.ndarray] = {
+    tensors = {
         "epochs": record.snapshot_epochs,
         "offset": network.offset,
         "scale": network.scale,
+        **layer_tensors(*unstack(record.snapshots, problem.sizes, problem.output_scale)),
     }
-    for depth, (kernel, bias) in enumerate(zip(kernels, biases, strict=True)):
-        tensors[f"layers.{depth}.weight"] = np.ascontiguousarray(kernel)
-        tensors[f"layers.{depth}.bias"] = np.ascontiguousarray(bias)
     write_tensors(path, tensors, {"activation": network.activation, "seeds": list(network.seeds)})
 
 

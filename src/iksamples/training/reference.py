@@ -8,7 +8,6 @@ keep what is known of a training while it runs in a ``Progress``.
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import Any
 
 
@@ -25,7 +24,7 @@ from iksamples.training.problem import (
     permutations,
     snapshot_epochs,
 )
-from iksamples.training.record import METRICS
+from iksamples.training.record import METRICS, layers
 
 
 class Progress(nn.Module):
@@ -215,24 +214,6 @@ class StackedAdam(torch.optim.Optimizer):
         root = (1 - BETA_2**step) ** 0.5
         size = (rate / (1 - BETA_1**step))[:, None]
         self.flat.sub_(size * mean / (square.sqrt() / root).add_(EPSILON))
-
-
-def layers(flat: Tensor, sizes: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
-    """Views of flat parameters as kernels and biases, layer by layer.
-
-    Args:
-        flat: Shape (seeds, parameters): kernel (row by row), bias, next kernel, and so on.
-        sizes: Neurons of each layer.
-
-    Yields:
-        Kernel, shape (seeds, in, out), and bias, shape (seeds, out).
-    """
-    at = 0
-    for fan_in, fan_out in pairwise(sizes):
-        kernel = flat[:, at : at + fan_in * fan_out].unflatten(1, (fan_in, fan_out))
-        at += fan_in * fan_out
-        yield kernel, flat[:, at : at + fan_out]
-        at += fan_out
 
 
 def forward(stack: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor) -> Tensor:
