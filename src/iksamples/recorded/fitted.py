@@ -108,9 +108,9 @@ def _model_mm(fitted: Fitted, prior_sd: Floats, recording: Recording, times: int
     # In units of the prior: information is the inverse covariance, one of it the prior's.
     whitened = fitted.covariance / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(whitened)
-    # Where the fit has widened its prior, what no record has told seems to be less than nothing.
-    information = np.maximum(1 / values - 1, 0)
-    covariance = (vectors / (times * information + 1)) @ vectors.T
+    # Some direction no record tells of: there it is the prior, widened if the fit had to.
+    prior = 1 / max(1.0, float(values.max()))
+    covariance = (vectors / (times * np.maximum(1 / values - prior, 0) + prior)) @ vectors.T
     linear = deviated_pose(fitted.drawing, fitted.deviations, recording.joints)[2]
     by = linear[:, recording.positions] * scale
     return float(np.sqrt(np.mean(np.einsum("nki,ij,nkj->n", by, covariance, by))))
