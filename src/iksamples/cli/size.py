@@ -22,7 +22,7 @@ def size(
         Path | None,
         typer.Argument(
             help="Records of an arm (CSV or Parquet): x_mm, y_mm, z_mm and q1_rad, q2_rad, ..., or "
-            "in other units that the names say, such as x_m and q1_deg."
+            "in other units that the names say, such as x_m and q1_deg; or a LeRobot data set."
         ),
     ] = None,
     curve: Annotated[
@@ -35,6 +35,18 @@ def size(
     robot: Arm = None,
     tip_link: Annotated[str | None, typer.Option(help="Link whose origin was measured.")] = None,
     column: Columns = None,
+    joint_unit: Annotated[
+        str | None,
+        typer.Option(help="Unit of a LeRobot data set's joint values: deg, rad or range."),
+    ] = None,
+    tool_from_drawing: Annotated[
+        bool,
+        typer.Option(
+            "--tool-from-drawing",
+            help="Compute a LeRobot data set's tool poses from the drawing: what is learned then "
+            "is the drawing.",
+        ),
+    ] = False,
     subsets: Annotated[int, typer.Option(help="Random orders of the records.")] = 20,
     of: Annotated[
         str, typer.Option(help="Which error of the records held out: worst, p99, p95 or mean.")
@@ -66,7 +78,7 @@ def size(
         "success_share": success_share,
         "confidence": confidence,
     }
-    where = "--tolerance, --success-share, --confidence, --of or --subsets"
+    where = "--tolerance, --success-share, --confidence, --of, --joint-unit or --subsets"
     if curve is not None:
         study = parse_study({"name": "recorded", "tolerance": asked}, where)
         _size_curve(study, curve, given)
@@ -84,6 +96,8 @@ def size(
                 "path": str(recording),
                 "columns": columns_of(column),
                 "subsets": subsets,
+                "joint_unit": joint_unit,
+                "tool_from_drawing": tool_from_drawing,
             }
         },
         **arm_settings(robot, tip_link),

@@ -130,8 +130,12 @@ def judged(
     some, whole = orders(study, len(recording)), whole_set(study, recording)
     frames, left_out = [], {}
     for name, method in study.all_methods.items():
-        if task is None and method.kind in _KNOWS_ARM:
-            left_out[name] = "it needs a drawing of the arm (--robot)."
+        if method.kind in _KNOWS_ARM and (task is None or recording.of_drawing):
+            left_out[name] = (
+                "it needs a drawing of the arm (--robot)."
+                if task is None
+                else "it knows the drawing, whose positions these are."
+            )
             continue
         try:
             if method.kind == "network":

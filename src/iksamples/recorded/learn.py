@@ -13,6 +13,7 @@ from iksamples.errors import IksamplesError
 from iksamples.recorded.curve import runs_table
 from iksamples.recorded.doubts import checked
 from iksamples.recorded.judge import judged, n_held, orders
+from iksamples.recorded.lerobot import is_lerobot, read_lerobot
 from iksamples.recorded.read import Recording, read_recording
 from iksamples.recorded.sockets import (
     Places,
@@ -100,6 +101,8 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     if not Path(settings.path).exists():
         raise IksamplesError(settings.missing())
     drawing = study_chain(study) if drawn else None
+    if settings.kind == "lerobot" or is_lerobot(Path(settings.path)):
+        return checked(read_lerobot(settings, drawing), drawing)
     recording, doubts = checked(read_recording(settings.path, drawing, settings.columns), drawing)
     if drawing is None:
         doubts.append(

@@ -45,6 +45,7 @@ class Recording:
         joint_units: ``"rad"`` or ``"mm"``, one per joint.
         remarks: What was taken for what, a sentence each.
         reference: The rotation from which a record's angles are told, shape (3, 3).
+        of_drawing: Positions are not measured but the drawing's.
     """
 
     table: Table
@@ -55,6 +56,7 @@ class Recording:
     joint_units: tuple[Unit, ...]
     remarks: tuple[str, ...] = ()
     reference: Floats = field(default_factory=lambda: np.eye(3))
+    of_drawing: bool = False
 
     def __len__(self) -> int:
         """Number of records."""
@@ -163,11 +165,11 @@ def read_recording(
         drawing.joint_names if drawing else tuple(names_of),
         tuple("mm" if column.unit == "mm" else "rad" for column in joint_columns),
         (said,) if said else (),
-        np.eye(3) if rotation is None else _middle(rotation),
+        np.eye(3) if rotation is None else middle(rotation),
     )
 
 
-def _middle(rotations: Floats) -> Floats:
+def middle(rotations: Floats) -> Floats:
     """The rotation amid some, from which angles are small."""
     from scipy.spatial.transform import Rotation
 

@@ -56,11 +56,22 @@ class Recorded(Section):
     source: str = Field(
         "", description="Where the recording can be had; said where it is not there."
     )
-    kind: Literal["table", "sockets"] = Field(
+    kind: Literal["table", "sockets", "lerobot"] = Field(
         "table",
         description="Positions (or poses) with the joint values there; or a folder for each place "
         "of a tool with two sockets, whose `hole_0.csv` and `hole_1.csv` hold joint values with "
-        "the ball at rest in that socket.",
+        "the ball at rest in that socket; or a LeRobot data set.",
+    )
+    joint_unit: Literal["deg", "rad", "range"] | None = Field(
+        None,
+        description="Unit of a LeRobot data set's joint values, which none of its files says "
+        "(range: -100 to 100 over the motor's range, taken for the drawing's limits); null: not "
+        "known, which is an error unless the values show it.",
+    )
+    tool_from_drawing: bool = Field(
+        False,
+        description="Compute a LeRobot data set's tool poses from the drawing, since it has none: "
+        "what is learned then is the drawing, not the arm.",
     )
     columns: dict[str, str] = Field(
         {},
