@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import median_seed
 from iksamples.files import kept_file
-from iksamples.report import markdown, run
+from iksamples.report import errors, markdown, run
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.write import write_front_page, write_report
 from iksamples.results import cells
@@ -305,6 +306,16 @@ def test_networks_that_diverged_are_counted_and_left_out(data: ReportData, tmp_p
         runs.assign(diverged=True).to_parquet(file)
     with pytest.raises(IksamplesError, match="every network diverged"):
         write_report(data.study, tmp_path / "results", tmp_path / "report")
+
+
+def test_a_bound_within_the_tolerance_is_of_all_the_workspace(data: ReportData) -> None:
+    label = list(data.cells)[-1]
+    proofs = pd.read_csv(data.results / "certificates.csv").set_index(["method", "label", "seed"])
+    bound = float(proofs.loc[("network", label, data.shown[label]), "sup_upper_mm"])
+    for limit, everywhere in ((0.99 * bound, False), (bound, True)):
+        wish = data.study.tolerance.model_copy(update={"error_mm": limit})
+        study = data.study.model_copy(update={"tolerance": wish})
+        assert errors.worst(replace(data, study=study))["everywhere"] is everywhere
 
 
 def test_a_proved_angle_is_shown_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

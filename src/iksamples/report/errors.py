@@ -98,6 +98,7 @@ def worst(data: ReportData) -> dict[str, Any]:
     gap = (proofs["sup_upper_mm"] / proofs["sup_lower_mm"])[complete].max() - 1
     over_mean = proofs["sup_lower_mm"] / proofs["mean_upper_mm"]
     corner = _at_corner(data, proofs)
+    shown = proofs[(proofs["label"] == largest) & (proofs["seed"] == data.shown[largest])]
     drawing = figures.lines(long, "n_samples", "mm", looks, _N, _ERROR, tolerance=wish.error_mm)
     return {
         "drawing": drawing,
@@ -121,6 +122,7 @@ def worst(data: ReportData) -> dict[str, Any]:
             if len(maps)
         },
         "turns": turns,
+        "everywhere": bool((shown["sup_upper_mm"] <= wish.error_mm).any()),
         "shown": data.shown[largest],
         "coverage": unsafe[unsafe["label"] == largest].iloc[0] if len(unsafe) else None,
         "epochs": _epochs_drawing(data.shown_rows("training_bound")),
