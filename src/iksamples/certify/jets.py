@@ -10,6 +10,7 @@ every vector, and with it every remainder below, as short as it can be.
 """
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -49,6 +50,7 @@ class Linkage:
     moved: NDArray[np.int64]
 
     @classmethod
+    @lru_cache(maxsize=64)  # many networks are certified on one arm
     def of(cls, chain: SerialChain) -> "Linkage":
         """Takes a chain apart."""
         n = chain.n_joints
@@ -98,7 +100,7 @@ class Linkage:
         """Number of moving joints."""
         return len(self.revolute)
 
-    @property
+    @cached_property
     def slides_at_all(self) -> bool:
         """Whether any joint is prismatic."""
         return not bool(self.revolute.all())
