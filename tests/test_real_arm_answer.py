@@ -11,6 +11,7 @@ from report_study import finished
 
 from iksamples.answer.answer import Answer, read_answer, recommend
 from iksamples.answer.assess import answer, read_floor
+from iksamples.answer.next_poses import next_poses
 from iksamples.answer.replication import fresh_study
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import OwnInverse, repeatability
@@ -215,3 +216,9 @@ def test_methods_that_are_trained_share_the_studys_samples():
         arm_study({}, samples={"sizes": [4, 8]})
     with pytest.raises(IksamplesError, match="corners"):
         arm_study({}, samples={"sizes": [4, 6]}, methods={"c": {"kind": "calibrated", **sobol}})
+
+
+def test_networks_of_arms_that_differ_propose_no_poses(tmp_path):
+    study = arm_study(DEVIATES)
+    with pytest.raises(IksamplesError, match="no two alike"):
+        next_poses(study, study_task(study), None, 3, weights=tmp_path / "weights.safetensors")

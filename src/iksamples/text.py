@@ -21,6 +21,7 @@ _OTHERS = {
     "trigonometric": "sines and cosines fitted to the same samples",
     "residual": "the drawing's inverse corrected by the same samples",
 }
+_SAME = "the same samples"
 _KNOWN = {
     "trigonometric": "that its joints turn",
     "nominal": "the drawing",
@@ -55,15 +56,23 @@ def described(study: Study, name: str) -> str:
 
 def known(study: Study, name: str) -> str:
     """What a method is and what it knows of the arm before it has a sample, a line each."""
-    what = re.sub(r" \w+ the same samples", "", described(study, name))
-    if what.startswith(name):
-        what = f"a network ({name})"
+    what = re.sub(rf" \w+ {_SAME}", "", described(study, name))
+    if study.all_methods[name].kind == "network":
+        what = what.split(" (")[0] if name == NETWORK else f"a network ({name})"
     return f"{what}\nknows {_KNOWN.get(study.all_methods[name].kind, 'nothing of the arm')}"
 
 
 def placed(study: Study, design: str) -> str:
     """Where samples lie, with a space in front; nothing to say where the study has one design."""
     return "" if study.samples.designs == [design] else f" {_PLACED.get(design, design)}"
+
+
+def described_on(study: Study, name: str, design: str) -> str:
+    """What a method is and where its samples lie, as a noun."""
+    words, where = described(study, name), placed(study, design)
+    if where and _SAME in words:
+        return words.replace(_SAME, f"samples{where}")
+    return words + where
 
 
 def trial(study: Study) -> str:

@@ -38,9 +38,7 @@ rule prove:
     """The worst and the mean error of a method over the workspace, proved for every network."""
     input:
         weights,
-        samples=expand(
-            "results/{{study}}/samples/{samples}.parquet", samples=ALL_LABELS
-        ),
+        samples=samples_of,
     output:
         "results/{study}/{method}/certificates.csv",
     log:

@@ -130,6 +130,15 @@ def of_each(files, methods):
     ]
 
 
+def samples_of(wildcards):
+    """The samples that a method learns from."""
+    return expand(
+        "results/{study}/samples/{samples}.parquet",
+        study=wildcards.study,
+        samples=sample_sets(STUDY, method=wildcards.method),
+    )
+
+
 def results_folder(wildcards):
     """The study's folder of results."""
     return f"results/{wildcards.study}"

@@ -44,10 +44,16 @@ def next_poses(
         seed there, by the arm's model). All poses are inside the workspace and the joint limits.
 
     Raises:
-        IksamplesError: The weights cannot be read or are another arm's; or as ``propose``.
+        IksamplesError: The weights cannot be read or are another arm's, or simulated arms'; or as
+            ``propose``.
     """
     import pandas as pd
 
+    if weights is not None and study.arm:
+        raise IksamplesError(
+            f"{study.name}: its networks learnt simulated arms, no two alike, so what they "
+            "disagree about is no pose to record. Leave out --weights."
+        )
     if weights is None:
         few = study.training.model_copy(update={"seeds": GUIDES, "snapshots": 2})
         network = train_seeds(study.model_copy(update={"training": few}), samples, progress)

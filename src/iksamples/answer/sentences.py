@@ -9,6 +9,7 @@ from iksamples.study import NETWORK, Study
 from iksamples.text import (
     allowed,
     described,
+    described_on,
     millimetres,
     percent,
     percent_down,
@@ -214,7 +215,7 @@ def _clause(study: Study, one: VariantAnswer) -> str:
     size = one.shown
     status = "nominal" if one.found and one.kind == "nominal" else one.status
     return _CLAUSES[status].format(
-        what=described(study, one.method) + placed(study, one.design),
+        what=described_on(study, one.method, one.design),
         n=whole(one.n_samples or 0),
         largest=whole(size.n_samples),
         evidence=_evidence(study, size),

@@ -12,7 +12,7 @@ from iksamples.report.data import ReportData
 from iksamples.report.markdown import code, number, percent
 from iksamples.report.run import differing
 from iksamples.study import NETWORK
-from iksamples.text import known, millimetres, placed
+from iksamples.text import described_on, known, millimetres
 
 
 _SHARE = "Error, % of that network's"
@@ -43,7 +43,7 @@ def answer(data: ReportData) -> dict[str, Any]:
             | (
                 {}
                 if data.several_designs
-                else {"What it is": one.description + placed(data.study, one.design)}
+                else {"What it is": described_on(data.study, one.method, one.design)}
             )
             | {
                 "Samples needed": _needed(data, one),
