@@ -97,7 +97,7 @@ def _misses_its_samples(study: Study, cell: Cell) -> Diagnosis | None:
     return Diagnosis(
         kind="fit",
         text=f"At its own {several(cell.samples.n_samples, 'sample')} {failed} of {len(errors)} "
-        f"trainings already miss by more than {allowed(tolerance)} ({what}, "
+        f"trainings are already not within {allowed(tolerance)} ({what}, "
         f"median {millimetres(float(np.median(errors)))}): it lacks capacity or training before it "
         "lacks samples.",
     )
