@@ -25,7 +25,7 @@ from iksamples.recording.record import record_path
 from iksamples.recording.shown import blues
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
-from iksamples.study import Study, parse_study
+from iksamples.study import Arm, Study, parse_study
 from iksamples.task import study_task
 
 
@@ -169,6 +169,32 @@ def test_links_carry_the_tool_to_the_path_of_the_largest_grid(
             shift, turn = frames[name][time]
             point = shift + turn.apply(point)
         np.testing.assert_allclose(point, tool[time][0], atol=1e-6)
+
+
+def test_an_arm_that_is_not_its_drawing_is_shown_as_it_is(
+    small: Study, results: list[Cell], chain: SerialChain, tmp_path: Path
+) -> None:
+    """Its file's bodies are the drawing's, and would not carry the tool to where it went."""
+    other = small.model_copy(update={"arm": Arm(deviation_mm=5, deviation_rad=0.05)})
+    file = tmp_path / "other.rrd"
+    record_path(other, "heart", results, file)
+    targets = waypoints(small.evaluation.paths["heart"], study_task(small)).x
+    table = results[-1].table("waypoints")
+    table = table[table["path"] == "heart"]
+    seed = median_seed(table)
+    own = study_task(other).chain_of(seed)
+    rows = table[table["seed"] == seed].sort_values("waypoint")
+    joints = rows[[f"q_{name}_rad" for name in chain.joint_names]].to_numpy(float)
+    reached = own.forward_mm(joints) / 1000
+    assert np.linalg.norm(reached - chain.forward_mm(joints) / 1000, axis=1).min() > 1e-3
+    for time in (0, len(targets) - 1):
+        point = (own.tip_mm - own.points_mm[-1]) / 1000
+        for name in reversed(chain.joint_names):
+            entity = f"/robot/joints/{name}"
+            shift = np.squeeze(read(file, entity, "Transform3D:translation", "waypoint")[time])
+            turn = np.squeeze(read(file, entity, "Transform3D:quaternion", "waypoint")[time])
+            point = shift + Rotation.from_quat(turn).apply(point)
+        np.testing.assert_allclose(point, reached[time], atol=1e-6)
 
 
 def test_an_arm_from_a_table_is_drawn_with_simple_bodies(

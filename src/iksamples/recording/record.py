@@ -295,7 +295,8 @@ def _log_arm(
     """The links as bodies, and the joints over both timelines."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(study.robot.urdf)
-        drawn = not shows_bodies(path)
+        # The bodies of a file are the drawing's.
+        drawn = study.arm is not None or not shows_bodies(path)
         if drawn:
             path = Path(folder) / "arm.urdf"
             path.write_text(drawn_urdf(chain), encoding="utf-8")
