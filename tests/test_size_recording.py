@@ -150,6 +150,21 @@ def test_orientations(tmp_path, form):
     assert found.inputs == ("x", "y", "z", "roll", "pitch", "yaw")
 
 
+def test_orientations_told_in_another_way_are_left_out(tmp_path):
+    from scipy.spatial.transform import Rotation
+
+    drawing, _, table = recorded()
+    turned = Rotation.from_matrix(drawing.rotation(table[NAMES[3:]].to_numpy()))
+    other_frame = turned * Rotation.from_euler("x", 90, degrees=True)
+    for form, lines in ((turned, 0), (other_frame, 1)):
+        table[["qx", "qy", "qz", "qw"]] = form.as_quat()
+        table.to_csv(tmp_path / "arm.csv", index=False)
+        found, said = checked(read_recording(tmp_path / "arm.csv", drawing), drawing)
+        assert len(said) == lines
+        assert (found.rotation is None) == bool(lines)
+        assert not lines or "the orientations are left out: half of them are 90 deg" in said[0]
+
+
 def changed(rows, columns, way):
     def change(table):
         table = table.copy()

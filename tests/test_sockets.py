@@ -145,3 +145,19 @@ def test_steps_of_a_recorded_study_end_in_a_report(tmp_path, kind):
     assert (reports / "figures" / "learning-curves.png").exists()
     placed = CliRunner().invoke(app, ["samples", str(file), "--output", str(tmp_path / "x")])
     assert isinstance(placed.exception, IksamplesError)
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"paper": True},
+        {"arm": {"noise_mm": 1}},
+        {"replication": {"seeds": 5}},
+        {"tolerance": {"where": "heart"}},
+        {"tolerance": {"best_of": 2}},
+    ],
+)
+def test_settings_that_records_have_no_use_for(section):
+    settings = {"name": "s", "samples": {"recorded": {"path": "x.csv"}}} | section
+    with pytest.raises(IksamplesError, match=r"is of no use with .samples\.recorded."):
+        parse_study(settings)

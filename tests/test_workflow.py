@@ -406,3 +406,15 @@ def test_benchmarks_are_kept(project):
     assert len(files) >= 8
     for file in files:
         assert np.isfinite(json.loads(file.read_text())["s"])
+
+
+def test_a_recorded_study_needs_its_recording(tmp_path):
+    folder = project_copy(tmp_path)
+    asked = ("--configfile", "config/studies/panda-recorded.yaml")
+    done = snakemake(folder, "-n", "--cores", "2", *asked, check=False)
+    errors = [line for line in done.stderr.splitlines() if line.startswith("Error")]
+    assert done.returncode
+    assert len(errors) == 1
+    assert "there is no such recording. It can be had from https://" in errors[0]
+    (folder / "recordings/mukca/data/panda_2_clean").mkdir(parents=True)
+    assert planned(folder, *asked) == {"learn", "size", "describe", "track"}

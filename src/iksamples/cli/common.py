@@ -133,5 +133,10 @@ def require_feasible(study: "Study", task: "Task") -> None:
     from iksamples.evaluation.paths import require_reachable
     from iksamples.samples.record import require_workspace
 
+    if study.samples.recorded:
+        raise IksamplesError(
+            f"{study.name}: its samples are recorded, and not to be computed; run it by snakemake, "
+            "or iksamples learn, answer and report."
+        )
     require_workspace(study, task)
     require_reachable(study, task)

@@ -1,6 +1,7 @@
 """What is odd about records, by their rows: mixed units, repeats, outliers, branches, limits."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ _WORDS = {
     180 / np.pi: "rad among deg",
 }
 _LOOSE = 0.1
+_OTHER_FRAME_DEG = 15.0
 _ROUNDS, _DAMPING = 12, 1e-9
 MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
 _UNLIKE = {"mm": 5.0, "rad": 20.0}
@@ -69,10 +71,27 @@ def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recordin
         )
     if drawing is None:
         lines += _implausible(recording)
+    elif recording.rotation is not None:
+        apart = turned_deg(recording.rotation, drawing.rotation(recording.joints))
+        if np.median(apart) > _OTHER_FRAME_DEG:
+            lines.append(
+                f"the orientations are left out: half of them are {np.median(apart):.0f} deg or "
+                "more from the drawing's tool, so they are of another frame or told in another "
+                "way (expected: a URDF's roll, pitch, yaw, or qx, qy, qz, qw, in the base frame)."
+            )
+            recording = replace(recording, rotation=None)
     missed = _position_misses(recording, drawing)
     far = missed > _bound(recording, drawing, missed)
     _require_one_unit(recording, drawing, missed, far)
     return recording, [*lines, *_doubts(recording, drawing, missed, far)]
+
+
+def turned_deg(first: Floats, second: Floats) -> Floats:
+    """Angles between rotations [deg], shapes (n, 3, 3) to (n,)."""
+    from scipy.spatial.transform import Rotation
+
+    between = np.swapaxes(first, -1, -2) @ second
+    return np.degrees(np.asarray(Rotation.from_matrix(between).magnitude()))
 
 
 def _extents(recording: Recording) -> Iterator[tuple[str, float]]:

@@ -12,6 +12,7 @@ from iksamples.calibration.fit import fit_samples
 from iksamples.errors import IksamplesError
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import KINDS
+from iksamples.recorded.doubts import turned_deg
 from iksamples.recorded.read import Recording
 from iksamples.region import Region
 from iksamples.samples.dataset import SampleSet
@@ -146,7 +147,7 @@ def judged(
             else:
                 parts = _fitted(study, method.kind, recording, whole, some, task)
             frames += [part.assign(method=name) for part in parts]
-        except NotApplicableError as error:
+        except IksamplesError as error:  # too few, too many, in a plane: this method's own matter
             left_out[name] = str(error)
     if not frames:
         raise IksamplesError(f"{recording.table.path}: no method can use these records.")
@@ -179,14 +180,7 @@ def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floa
     off = np.linalg.norm((position - recording.position_mm[rows])[:, seen], axis=1)
     if recording.rotation is None:
         return off, np.full(len(off), np.nan)
-    return off, _angle_deg(rotation, recording.rotation[rows])
-
-
-def _angle_deg(first: Floats, second: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    between = np.swapaxes(first, -1, -2) @ second
-    return np.degrees(np.asarray(Rotation.from_matrix(between).magnitude()))
+    return off, turned_deg(rotation, recording.rotation[rows])
 
 
 def _fitted(
@@ -271,7 +265,7 @@ def _of_joints(
         if recording.rotation is not None:
             sound = np.flatnonzero(np.isfinite(off))
             angle = np.full(len(q), np.inf)
-            angle[sound] = _angle_deg(turned[sound], own[sound])
+            angle[sound] = turned_deg(turned[sound], own[sound])
     off = np.where(np.isfinite(off), off, np.inf)
     return _frame(n, seed, held, off, angle, joint_deg)
 

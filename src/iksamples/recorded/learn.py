@@ -103,6 +103,11 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     drawing = study_chain(study) if drawn else None
     if settings.kind == "lerobot" or is_lerobot(Path(settings.path)):
         return checked(read_lerobot(settings, drawing), drawing)
+    if Path(settings.path).is_dir():
+        raise IksamplesError(
+            f"{settings.path}: a folder, and no LeRobot data set (no meta/info.json). Postures in "
+            "sockets take a study with samples.recorded.kind: sockets."
+        )
     recording, doubts = checked(read_recording(settings.path, drawing, settings.columns), drawing)
     if drawing is None:
         doubts.append(

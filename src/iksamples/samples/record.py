@@ -15,7 +15,7 @@ from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import RECORDED, TENSOR, Arm, Design, Study
+from iksamples.study import TENSOR, Arm, Design, Study
 from iksamples.task import Task
 
 
@@ -152,11 +152,6 @@ def sample_label(study: Study, design: Design, n: int) -> str:
 
 def _place(study: Study, task: Task, design: Design, n: int) -> Floats:
     """Inputs of a design; those of a random design that the arm cannot use are redrawn."""
-    if design == RECORDED:
-        raise IksamplesError(
-            f"{sample_label(study, design, n)}: recorded samples cannot be placed. Run the study "
-            "by snakemake, or learn from them by iksamples learn."
-        )
     if design == ADAPTIVE:
         raise IksamplesError(
             f"{sample_label(study, design, n)}: adaptive samples follow from networks that "

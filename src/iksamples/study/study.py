@@ -164,6 +164,24 @@ class Study(Section):
         return self
 
     @model_validator(mode="after")
+    def _records_are_of_one_real_arm(self) -> "Study":
+        if self.samples.recorded is None:
+            return self
+        for name, given in {
+            "paper": self.paper,
+            "arm": self.arm,
+            "replication.seeds": self.replication.seeds,
+            "tolerance.where": self.tolerance.where != "workspace",
+            "tolerance.best_of": self.tolerance.best_of > 1,
+        }.items():
+            if given:
+                raise ValueError(
+                    f"'{name}' is of no use with 'samples.recorded', whose records of a real arm "
+                    "are all that is learned from and judged by; leave it out"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _a_limit_for_each_input(self) -> "Study":
         n = self.task.n_positions
         names = {"mm": self.task.inputs[:n], "rad": self.task.inputs[n:]}
