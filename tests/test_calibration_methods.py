@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from iksamples.arm.inverse import followed
 from iksamples.arm.real import deviated
 from iksamples.calibration.fit import fit_samples
+from iksamples.evaluation.errors import evaluate
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.methods.registry import fit
 from iksamples.methods.trigonometric import products, ridge
@@ -172,3 +174,26 @@ def test_trigonometric_refuses_what_it_cannot_be(study, task):
         NotApplicableError, match=r"trigonometric.*2 joints move.*inputs are x, y, z"
     ):
         fit("trigonometric", task, held)
+
+
+def test_a_fitted_drawing_says_how_far_it_may_be_off(tmp_path):
+    """With 95 % confidence, over arms; other methods and paths say nothing."""
+    study = parse_study(
+        {
+            "name": "arms",
+            "arm": {"deviation_mm": 1, "deviation_rad": 0.0175, "noise_mm": 0.2},
+            "samples": {"points_per_axis": [2]},
+            "training": {"seeds": 60},
+            "evaluation": {"cube_points": 128},
+            "methods": {"fitted": {"kind": "calibrated"}, "nominal": {"kind": "nominal"}},
+        }
+    )
+    task = study_task(study)
+    samples = grid_samples(study, task, 2)
+    errors = evaluate(study, task, samples, "fitted", tmp_path)[0]["errors"]
+    whole = errors[errors["region"] == "cube"]
+    missed = int((whole["error_max_mm"] > whole["confident_mm"]).sum())
+    assert missed <= binom.ppf(0.999, 60, 0.05)
+    assert (whole["confident_mm"] / whole["error_max_mm"]).median() < 2
+    assert errors.loc[errors["region"] != "cube", "confident_mm"].isna().all()
+    assert "confident_mm" not in evaluate(study, task, samples, "nominal", tmp_path)[0]["errors"]

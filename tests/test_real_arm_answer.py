@@ -35,13 +35,14 @@ def arm_study(arm, seeds=3, **sections):
     })  # fmt: skip
 
 
-def outcomes_of(method, errors):
+def outcomes_of(method, errors, confident_mm=np.nan):
     """Numbers of samples -> errors of arms 0, 1, ..."""
     return pd.DataFrame([
         {
             "method": method, "design": "grid", "label": f"grid{round(n ** (1 / 3))}",
             "n_samples": n, "seed": seed, "error_mm": float(error), "certified": False,
             "region_share": 1.0, "n_points": 520, "attained_mm": float(error),
+            "confident_mm": confident_mm,
         }
         for n, arms in errors.items()
         for seed, error in enumerate(arms)
@@ -222,3 +223,12 @@ def test_networks_of_arms_that_differ_propose_no_poses(tmp_path):
     study = arm_study(DEVIATES)
     with pytest.raises(IksamplesError, match="no two alike"):
         next_poses(study, study_task(study), None, 3, weights=tmp_path / "weights.safetensors")
+
+
+def test_what_a_fitted_drawing_says_of_itself_is_told_and_counted():
+    study = arm_study(DEVIATES, seeds=4, methods={"fitted": {"kind": "calibrated"}})
+    rows = outcomes_of("fitted", {8: [0.5, 0.9, 1.2, 0.7]}, confident_mm=1.0)
+    [one] = answer(study, rows).variants
+    assert any("1.00 mm in the median; it holds on 3 of 4 arms" in text for text in one.sentences)
+    [plain] = answer(study, outcomes_of("fitted", {8: [0.5, 0.9, 1.2, 0.7]})).variants
+    assert not any("in the median" in text for text in plain.sentences)

@@ -115,6 +115,7 @@ RUNS: dict[str, Column] = {
     "n_points": Column("-", "points at which errors are measured"),
     **ERRORS,
     **ANGLES,
+    "confident_mm": Column("mm", "worst error not exceeded with 95 % confidence, by samples alone"),
     "sup_lower_mm": Column("mm", "proved: an error that is taken in the workspace"),
     "sup_upper_mm": Column("mm", "proved: no position of the workspace has a larger error"),
     "angle_lower_deg": Column("deg", "proved: an angle that the tool is off by somewhere"),

@@ -22,7 +22,7 @@ from iksamples.answer.answer import (
 from iksamples.answer.collect import WORKSPACE, Variant, outcomes, read_runs, variants
 from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
-from iksamples.answer.sentences import floor_told, headline, told
+from iksamples.answer.sentences import floor_told, headline, of_itself, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.columns import RUNS
 from iksamples.evaluation.errors import CUBE, FLOOR
@@ -83,7 +83,10 @@ def answer(
             cell = Cell(results, one.method, one.shown.label)
             variant, rng = Variant(one.method, one.design), np.random.default_rng(STREAM)
             why = diagnose(study, variant, of_variants, cell, answers, rng)
-        sentences = [*told(study, one, confidence), *(cause.text for cause in why)]
+        own = of_variants[Variant(one.method, one.design)]
+        shown = own[own["label"] == one.shown.label]
+        sentences = [*told(study, one, confidence), *of_itself(study, shown)]
+        sentences += [cause.text for cause in why]
         methods.append(one.model_copy(update={"diagnosis": why, "sentences": sentences}))
     share = float(rows["region_share"].iloc[0])
     return Answer(

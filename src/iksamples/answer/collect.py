@@ -165,7 +165,7 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
             "n_points": [_points_measured(study, where) for where in errors["region"]],
         }
     )
-    return rows.join(errors.reindex(columns=[*ERRORS, *ANGLES]).astype(float))
+    return rows.join(errors.reindex(columns=[*ERRORS, *ANGLES, "confident_mm"]).astype(float))
 
 
 def _points_measured(study: Study, where: str) -> int:
@@ -210,6 +210,7 @@ COLUMNS = (
     "error_mm",
     "certified",
     "attained_mm",
+    "confident_mm",
 )
 """Columns of the outcomes; ``outcomes`` says what they hold."""
 
@@ -230,6 +231,7 @@ def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
         Columns ``COLUMNS``, in the order of ``runs``. ``error_mm`` is what is held against the
         tolerance, ``certified`` whether it is a proved upper bound, and ``attained_mm`` an error
         that is known to occur: the largest of what was measured and the proof's lower bound.
+        ``confident_mm`` is as in ``runs``.
     """
     tolerance = study.tolerance
     rows = runs[runs["region"] == tolerance.where].reset_index(drop=True)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
 from iksamples.answer.answer import Confidence, Size, VariantAnswer
 from iksamples.study import NETWORK, Study
@@ -90,6 +91,27 @@ def headline(
     ]
     clauses = [_clause(study, one) for one in rest or ([] if best else candidates[:1])]
     return f"{_asked(study, variants, confidence, region_share)}: {'; '.join(lead + clauses)}."
+
+
+def of_itself(study: Study, rows: pd.DataFrame) -> list[str]:
+    """What a method that knows how sure it is says of its errors, and whether that holds.
+
+    Args:
+        study: The study.
+        rows: Its outcomes (``collect.outcomes``) with one number of samples.
+    """
+    wish = study.tolerance
+    if study.arm is None or wish.of != "worst" or wish.angle_deg:
+        return []
+    said = rows["confident_mm"].to_numpy(float)
+    if not np.isfinite(said).all():
+        return []
+    held = int(np.sum(rows["attained_mm"].to_numpy(float) <= said))
+    return [
+        "The samples alone say how large the worst error may be, with 95 % confidence: "
+        f"{millimetres(float(np.median(said)))} in the median; it holds on {held} of "
+        f"{several(len(said), 'arm')}."
+    ]
 
 
 def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:

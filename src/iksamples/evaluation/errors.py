@@ -12,7 +12,7 @@ from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import followed
 from iksamples.arm.real import Arm, RealArm
 from iksamples.evaluation.paths import waypoints
-from iksamples.methods.predictor import NotApplicableError, Predictor
+from iksamples.methods.predictor import NotApplicableError, Predictor, Single, Stacked
 from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP, layers_of, read_tensors
 from iksamples.samples.dataset import SampleSet
@@ -186,7 +186,13 @@ def evaluate(
         return {**empty, "errors": summarise(**empty)}, str(reason)
     waypoints = track_paths(study.evaluation, task, predictor)
     cube = cube_errors(study.evaluation, task, predictor)
-    return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}, None
+    errors = summarise(waypoints, cube)
+    members = predictor.members if isinstance(predictor, Stacked) else [predictor]
+    said = [one.confident_mm if isinstance(one, Single) else np.nan for one in members]
+    if np.isfinite(said).any():
+        errors["confident_mm"] = errors["seed"].map(dict(zip(predictor.seeds, said, strict=True)))
+        errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
+    return {"waypoints": waypoints, "cube": cube, "errors": errors}, None
 
 
 MAX_EPOCHS = 60

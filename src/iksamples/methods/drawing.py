@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 from iksamples.arm.chain import Floats
-from iksamples.arm.inverse import followed
+from iksamples.arm.inverse import POSITION_MM, followed
 from iksamples.calibration.fit import fit_samples
+from iksamples.calibration.worst import POINTS, judged_effects, worst_mm
 from iksamples.methods.predictor import Predictor, Single
 from iksamples.methods.scattered import regressor
 from iksamples.samples.dataset import SampleSet
+from iksamples.samples.record import region_points
+from iksamples.study import Tolerance
 from iksamples.task import Task
 
 
@@ -23,10 +26,19 @@ def nominal(task: Task) -> Predictor:
 def calibrated(task: Task, samples: SampleSet) -> Predictor:
     """Answers with the joints that are right for the fitted drawing (`calibration.fit`).
 
-    On the branch of the drawing's, from which they are followed. NaN where either cannot reach.
+    On the branch of the drawing's, from which they are followed. NaN where either cannot reach, so
+    that every answer is right for the fitted arm to `inverse.POSITION_MM`; what the arm itself can
+    be off adds to that.
     """
-    chain = fit_samples(task, samples).chain
-    return Single(lambda x: followed(task.reach(x), chain))
+    fitted = fit_samples(task, samples)
+    chain = fitted.chain
+
+    def answer(x: Floats) -> Floats:
+        return followed(task.reach(x), chain)
+
+    joints = answer(region_points(task.region, POINTS))
+    left = worst_mm(fitted, judged_effects(task.target, Tolerance(), fitted, joints))
+    return Single(answer, confident_mm=POSITION_MM + left)
 
 
 def residual(task: Task, samples: SampleSet) -> Predictor:

@@ -49,10 +49,13 @@ class Single:
 
     Attributes:
         answer: Joint values (points, joints) for inputs (points, d).
+        confident_mm: Worst error over the region that is not exceeded with 95 % confidence, as far
+            as the samples tell [mm]; NaN: it does not say.
     """
 
     answer: Callable[[Floats], Floats]
     seeds: tuple[int, ...] = (0,)
+    confident_mm: float = float("nan")
 
     def predict(self, x: ArrayLike, /) -> Floats:
         """Joint values [rad or mm], shape (1, points, joints), for inputs (points, d)."""

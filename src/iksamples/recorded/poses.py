@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.inverse import followed
 from iksamples.arm.real import deviated_pose
 from iksamples.arm.target import Target
 from iksamples.calibration.design import CANDIDATES, optimal, postures, tour
@@ -44,7 +45,7 @@ class Calibration:
         noise_mm: How well a coordinate is measured [mm]; None: as the residuals say.
         noise_rad: Likewise a turn's component [rad].
         region: Where the tool is used; None: anywhere.
-        reach: The joints with which it is used there; None: any that have the tool there.
+        reach: The joints with which an arm like it is used there; None: any that do it.
     """
 
     drawing: SerialChain
@@ -54,7 +55,7 @@ class Calibration:
     noise_mm: float | None
     noise_rad: float
     region: Region | None = None
-    reach: Callable[[Floats], Floats] | None = None
+    reach: Callable[[Floats, SerialChain], Floats] | None = None
 
     @classmethod
     def of(cls, study: Study, task: Task | None) -> "Calibration":
@@ -72,7 +73,7 @@ class Calibration:
             noise,
             noise_rad,
             task.region,
-            lambda x: task.reach(x).joints,
+            lambda x, chain: followed(task.reach(x), chain),
         )
 
     def fitted(self, recording: Recording | None) -> Fitted:
@@ -105,7 +106,7 @@ class Calibration:
     def judged(self, fitted: Fitted) -> Floats:
         """``worst.judged_effects`` over the workspace."""
         if self.region is not None and self.reach is not None:
-            joints = self.reach(region_points(self.region, POINTS))
+            joints = self.reach(region_points(self.region, POINTS), fitted.chain)
             return judged_effects(self.target, self.tolerance, fitted, joints)
         joints = self._postures(_ANYWHERE if self.region is None else _INSIDE, 1, _PLACES)
         effects = judged_effects(self.target, self.tolerance, fitted, joints)
