@@ -296,7 +296,7 @@ def test_the_command(tmp_path):
     said = CliRunner().invoke(app, ["size", str(tmp_path / "arm.csv"), *options])
     assert said.exit_code == 0, said.output
     part = said.output.split("\ncalibrated")[1].split("\nresidual")[0]
-    assert "6 samples will do; fewer were not tried" in part
+    assert "4 samples will do; fewer were not tried" in part
     assert "it fails, and no samples change that" in said.output
     nothing = CliRunner().invoke(app, ["size"])
     assert "name your records" in str(nothing.exception)

@@ -9,6 +9,7 @@ from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.methods.predictor import NotApplicableError, Predictor, Single
 from iksamples.samples.dataset import SampleSet
+from iksamples.study import RECORDED
 
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def gaussian_process(samples: SampleSet) -> Predictor:
     Raises:
         NotApplicableError: There are too many samples for a dense solve.
     """
-    process = regressor(samples)
+    # What was recorded has noise; what is computed has none to allow for.
+    process = regressor(samples, noisy=samples.design == RECORDED)
 
     def answer(x: Floats) -> Floats:
         mean = process.predict(samples.normalise(x))

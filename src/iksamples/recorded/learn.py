@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 ABOUT, JUDGED = "recorded.json", "judged.parquet"
 """Files of a recorded study: what its recording is, and every record held out."""
-_MOST_SIZES = 6
+_FEWEST, _MOST_SIZES = 4, 8
 _USUAL: dict[str, Any] = {
     "network": {"hidden": [16], "activation": "tanh"},
     "training": {"optimizer": "levenberg-marquardt", "epochs": 200},
@@ -81,7 +81,7 @@ def sized_study(settings: dict[str, Any], where: str) -> Study:
     study = parse_study(settings | _USUAL, where)
     recording, _ = read_checked(study, "robot" in settings)
     n = len(recording) - n_held(study, len(recording))
-    sizes = [-(-n // 2**k) for k in range(_MOST_SIZES) if n >= 4 * 2**k]
+    sizes = np.unique(np.geomspace(_FEWEST, n, _MOST_SIZES).round().astype(int)).tolist()
     samples = settings["samples"] | {"sizes": sizes}
     return parse_study(settings | _USUAL | {"samples": samples}, where)
 
