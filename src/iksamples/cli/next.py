@@ -96,9 +96,9 @@ def next_(
         float | None,
         typer.Option(help="Calibration: how far links may be displaced (standard deviation) [mm]."),
     ] = None,
-    deviation_deg: Annotated[
+    deviation_rad: Annotated[
         float | None,
-        typer.Option(help="Calibration: how far links may be turned (standard deviation) [deg]."),
+        typer.Option(help="Calibration: how far links may be turned (standard deviation) [rad]."),
     ] = None,
     column: Columns = None,
 ) -> None:
@@ -123,7 +123,7 @@ def next_(
         "error_mm": tolerance_mm,
         "confidence": confidence,
         "deviation_mm": deviation_mm,
-        "deviation_rad": None if deviation_deg is None else deviation_deg * 0.017453292519943295,
+        "deviation_rad": deviation_rad,
         "noise_mm": noise_mm,
     }
     given = {name: value for name, value in said.items() if value is not None}
@@ -228,9 +228,8 @@ def _for_calibration(
         f"expected to be at most {advice.expected_mm:.3g} mm."
     )
     if count is None and advice.expected_mm > limit:
-        typer.echo(
-            f"That is not within {limit:g} mm: measure better, or in more places (--anywhere)."
-        )
+        wider = "" if anywhere or asked.region is None else ", or also elsewhere (--anywhere)"
+        typer.echo(f"That is not within {limit:g} mm yet. To need fewer, measure better{wider}.")
 
 
 def _write(poses: "pd.DataFrame", output: Path) -> None:
