@@ -101,10 +101,8 @@ class Recorded(Section):
 
     def missing(self) -> str:
         """What is said where the recording is not there."""
-        where = f" It can be had from {self.source}." if self.source else ""
-        return (
-            f"{self.path}: there is no such recording.{where} Its place is samples.recorded.path."
-        )
+        place = f" It can be had from {self.source}. Its place is samples.recorded.path."
+        return f"{self.path}: there is no such recording.{place if self.source else ''}"
 
 
 Design = Literal[
