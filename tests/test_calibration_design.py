@@ -45,6 +45,7 @@ def test_the_worst_error_of_one_point_is_a_quantile_that_is_known(chain):
     exact = 2 * np.sqrt(3 * f.ppf(0.95, 3, 6))
     assert worst_mm(guessed, judged, 0.95, 20_000) == pytest.approx(exact, rel=0.04)
     assert worst_mm(Fitted.unmeasured(chain, PRIOR, None), judged) == np.inf
+    assert Fitted.unmeasured(chain, PRIOR, 0.0).noise_mm == 0
 
 
 def test_what_is_expected_of_poses_is_what_the_fit_then_knows(chain, rng):

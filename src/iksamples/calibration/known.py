@@ -84,9 +84,10 @@ class Fitted:
     @classmethod
     def unmeasured(cls, drawing: SerialChain, prior: Prior, noise_mm: float | None) -> "Fitted":
         """What is known before anything is measured: the drawing and its prior."""
-        sd, none, open_ = prior.deviations(drawing.n_joints), np.empty((0, 3)), noise_mm is None
-        noise = noise_mm or NOISE_MM
-        return cls(drawing, 0 * sd, np.diag(sd.ravel()), noise, 0, none, noise_estimated=open_)
+        sd, none = prior.deviations(drawing.n_joints), np.empty((0, 3))
+        unknown = noise_mm is None
+        noise = NOISE_MM if noise_mm is None else noise_mm
+        return cls(drawing, 0 * sd, np.diag(sd.ravel()), noise, 0, none, noise_estimated=unknown)
 
     @property
     def chain(self) -> SerialChain:
