@@ -118,8 +118,8 @@ def made_up(centre, linear, quadratic, remainder=0.0):
     d = len(linear)
     return Residual(
         np.array([centre], float), np.array([linear], float), np.array([quadratic], float),
-        np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), np.zeros((1, 0)), True,
-        np.full((1, 2**d), remainder), np.full(1, remainder), np.full(1, np.inf), np.ones((1, d)),
+        np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), np.zeros((1, 1, 0)), True,
+        np.full((1, 2**d), remainder), np.full((1, 1), remainder), np.full(1, np.inf), np.ones((1, d)),
     )  # fmt: skip
 
 

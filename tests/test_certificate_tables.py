@@ -55,7 +55,7 @@ def test_both_enclosures_of_a_table_hold_its_values(seed, d, size):
     s = rng.uniform(-1, 1, (200, d))
     values = interpolated(table)(centre + s * half)
 
-    found = table.expand(np.zeros(1, int), centre[None], half[None])
+    found = table.expand(np.zeros(1, int), centre[None], half[None], average=False)
     mixed = [(a, b) for a in range(d) for b in range(a + 1, d)]
     kept = found.centre + s @ found.linear[0]
     kept = kept + np.stack([s[:, a] * s[:, b] for a, b in mixed], 1) @ found.quadratic[0, d:]

@@ -198,7 +198,9 @@ def test_relu_symbol_is_exact_at_corners_and_attained_at_the_kink(z, width):
         (np.float32([[[1.0]]]), np.float32([[[1.0]]])),
         (np.float32([[0.0]]), np.float32([[0.0]])), "relu", np.zeros(1), np.ones(1), (0,),
     )  # fmt: skip
-    expansion = expand(Layers.of(stack), np.zeros(1, int), np.array([[z]]), np.array([[width]]))
+    expansion = expand(
+        Layers.of(stack), np.zeros(1, int), np.array([[z]]), np.array([[width]]), average=False
+    )
     reach = expansion.reach[0, :, 0]
     for v, s in enumerate(corners(1)):
         exact = max(0.0, z + width * s[0])
@@ -228,7 +230,9 @@ def test_noise_of_the_layer_before_is_counted_on_both_sides(sign):
         np.ones(1),
         (0,),
     )
-    expansion = expand(Layers.of(stack), np.zeros(1, int), np.zeros((1, 1)), np.ones((1, 1)))
+    expansion = expand(
+        Layers.of(stack), np.zeros(1, int), np.zeros((1, 1)), np.ones((1, 1)), average=False
+    )
     at = values_of(expansion, corners(1), expansion.reach[0] - 1.0)
     short = expansion.reach[0] @ np.abs(expansion.noise[0])
     apart = np.abs(plain_answer(stack, 0, corners(1)) - at)
@@ -243,7 +247,9 @@ def test_tanh_symbol_is_attained_in_the_limit():
         (np.float32([[0.0]]), np.float32([[0.0]])), "tanh", np.zeros(1), np.ones(1), (0,),
     )  # fmt: skip
     width = 0.02
-    expansion = expand(Layers.of(stack), np.zeros(1, int), np.zeros((1, 1)), np.array([[width]]))
+    expansion = expand(
+        Layers.of(stack), np.zeros(1, int), np.zeros((1, 1)), np.array([[width]]), average=False
+    )
     gap = abs(np.tanh(width) - values_of(expansion, np.ones((1, 1)), np.zeros((1, 1)))[0, 0])
     assert gap / expansion.noise[0, 0, 0] == pytest.approx(1, abs=1e-3)
 
@@ -253,7 +259,7 @@ def test_what_tanh_makes_of_noise_is_attained(other):
     """One neuron, z = z0 + 0.02 s + other e, where tanh bends most: s = e = 1 is worst."""
     z0 = np.arctanh(np.sqrt(1 / 3))
     rows = np.array([[[z0], [0.02], [0.0], [other]]])
-    half, reach, _, _ = _tanh(rows, (2, 3), np.ones((1, 1, 1)))
+    half, reach, _ = _tanh(rows, (2, 3), np.ones((1, 1, 1)), average=False)
     s, e = (v.ravel() for v in np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)))
     kept = np.stack([np.ones_like(s), s, s * s, e]).T @ rows[0, :, 0]
     apart = np.abs(np.tanh(z0 + 0.02 * s + other * e) - kept)
@@ -278,7 +284,7 @@ def test_networks_stay_inside_their_enclosure(seed, activation, depth, d, size):
     stack = random_network(rng, sizes, activation, spread=rng.uniform(0.3, 2.5))
     centre = rng.uniform(0, 1, (1, d))
     radius = size * rng.uniform(0.1, 1, (1, d))
-    expansion = expand(Layers.of(stack), np.zeros(1, int), centre, radius)
+    expansion = expand(Layers.of(stack), np.zeros(1, int), centre, radius, average=False)
     s = np.concatenate([corners(d), rng.uniform(-1, 1, (300, d))])
     answer = plain_answer(stack, 0, centre + radius * s)
     noise = np.abs(expansion.noise[0]).sum(axis=0)
@@ -296,7 +302,7 @@ def test_networks_stay_inside_their_enclosure(seed, activation, depth, d, size):
 def test_cubic_means_hold_and_are_near(seed, d):
     rng = np.random.default_rng(seed)
     linear = rng.normal(size=(1, d, 4)) * rng.choice([0.0, 1.0, 1.0], (1, d, 4))
-    bound = sizes(linear)[0, -1]
+    bound = sizes(linear, average=True)[0, -1]
     drawn = rng.uniform(-1, 1, (20_000, d)) @ linear[0]
     exact = np.cbrt(np.mean(np.abs(drawn) ** 3, axis=0))
     assert np.all(0.97 * exact <= bound)
@@ -315,7 +321,7 @@ def test_what_is_left_out_is_small_on_average_too(seed, kinds, d, activation, si
     stack = random_network(rng, (d, 6, len(kinds)), activation, spread=rng.uniform(0.3, 1.5))
     errors = ErrorOverBoxes(stack, chain, Region.box(np.full(d, -1.0), np.full(d, 2.0)))
     centre, radius = rng.uniform(0, 1, (1, d)), size * rng.uniform(0.1, 1, (1, d))
-    [residual] = errors.residuals(np.zeros(1, int), centre, radius)
+    [residual] = errors.residuals(np.zeros(1, int), centre, radius, average=True)
     s = rng.uniform(-1, 1, (4000, d))
     points = centre + radius * s
     miss = plain_tip(chain, plain_answer(stack, 0, points))[:, :d] - points
@@ -324,8 +330,8 @@ def test_what_is_left_out_is_small_on_average_too(seed, kinds, d, activation, si
     inside += (s[:, first] * s[:, second]) @ residual.quadratic_mm[0]
     apart = np.linalg.norm(miss - inside, axis=1)
     lengths = np.linalg.norm(residual.noise_mm[0], axis=1)
-    reach = 1.0 if residual.one_sided else residual.mean_reach[0]
-    most = float(np.sum(reach * lengths)) + residual.mean_remainder_mm[0]
+    reach = 1.0 if residual.one_sided else residual.mean_reach[0, 0]
+    most = float(np.sum(reach * lengths)) + residual.mean_remainder_mm[0, 0]
     assert apart.mean() - 5 * apart.std() / np.sqrt(len(s)) <= most + 1e-9
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_Symbols = tuple[Floats, Floats, Floats, Floats]
+_Symbols = tuple[Floats, Floats, Floats]
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -34,7 +34,8 @@ class Expansion:
             values); no pairs at all for a ReLU network.
         noise: One row per symbol, shape (batch, symbols, values).
         reach: In [0, 1], in the order of ``corners(d)``, shape (batch, corners, symbols).
-        mean_reach: At least the mean of the reach over the box, shape (batch, symbols).
+        mean_reach: At least the mean of the reach over the box, shape (batch, 1, symbols); no row
+            where it was not asked for.
         one_sided: Whether the symbols lean to one side.
         shares: Which share of a symbol is due to the extent of the box along each axis, roughly,
             shape (batch, d, symbols).
@@ -69,8 +70,8 @@ def mirrored(values: Floats) -> Floats:
     return np.concatenate([values, values[:, ::-1]], axis=1)
 
 
-def sizes(linear: Floats) -> Floats:
-    """Size of ``v = linear s`` at half of the corners, and last its cubic mean at most.
+def sizes(linear: Floats, average: bool) -> Floats:
+    """Size of ``v = linear s`` at half of the corners and, if asked, last its cubic mean at most.
 
     The cubic mean is ``(mean of |v|^3)^(1/3)``, and the mean of ``|v|^3`` is at most the root of
     those of ``v^2`` and ``v^4``. Cubic means of sums are at most the sums of cubic means, and means
@@ -79,16 +80,19 @@ def sizes(linear: Floats) -> Floats:
 
     Args:
         linear: Factors of ``s_a``, shape (batch, d, values).
+        average: Whether the mean is asked for, which takes longer than the rest.
 
     Returns:
-        Shape (batch, 2^(d - 1) + 1, values).
+        Shape (batch, 2^(d - 1) + average, values).
     """
+    ends = np.abs(half_of_corners(linear.shape[1]) @ linear)
+    if not average:
+        return np.asarray(ends)
     square = linear * linear
     total = square.sum(axis=1)
     fourth = total * total / 3.0 - (2.0 / 15.0) * np.einsum("bav,bav->bv", square, square)
     mean = np.cbrt(np.sqrt(total / 3.0 * fourth))
-    half = half_of_corners(linear.shape[1])
-    return np.concatenate([np.abs(half @ linear), mean[:, None]], axis=1)
+    return np.concatenate([ends, mean[:, None]], axis=1)
 
 
 @lru_cache(maxsize=16)
@@ -104,7 +108,9 @@ def pairs(d: int) -> tuple[Ints, Ints]:
     return np.concatenate([np.arange(d), mixed[0]]), np.concatenate([np.arange(d), mixed[1]])
 
 
-def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) -> Expansion:
+def expand(
+    layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats, average: bool
+) -> Expansion:
     """Encloses the networks' answers over boxes.
 
     Args:
@@ -112,6 +118,7 @@ def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) 
         which: The network that each box is for, shape (boxes,).
         centre_mm: Centres [mm], shape (boxes, d).
         radius_mm: Half edges [mm], shape (boxes, d).
+        average: Whether means over the boxes are asked for.
 
     Returns:
         Expansions of the joint values.
@@ -126,31 +133,33 @@ def expand(layers: "Layers", which: Ints, centre_mm: Floats, radius_mm: Floats) 
     rows[:, :1] = layers.through(centre[:, None, :], 0, which)
     rows[:, 1 : split[0]] = linear
     rows[:, 0] += layers.bias(0, which)
-    reaches, means, shares = [], [], []
+    reaches, shares = [], []
     for depth in range(1, len(layers.weights)):
         # A new symbol touches one neuron, so its row of the next layer is a scaled row of weights.
         apply = _relu if relu else _tanh
-        added, reach, mean, share = apply(rows, split, layers.weight(depth, which))
+        added, reach, share = apply(rows, split, layers.weight(depth, which), average)
         reaches.append(reach)
-        means.append(mean)
         shares.append(share)
         rows = np.concatenate([layers.through(rows, depth, which), added], axis=1)
         rows[:, 0] += layers.bias(depth, which)
-    reach = np.concatenate(reaches, axis=2) if reaches else np.zeros((batch, 2**d, 0))
+    at_corners = 2**d if relu else 2 ** (d - 1)
+    reach = np.zeros((batch, at_corners + average, 0))
+    reach = np.concatenate([reach, *reaches], axis=2)
+    reach, mean_reach = reach[:, :at_corners], reach[:, at_corners:]
     return Expansion(
         rows[:, 0],
         rows[:, 1 : split[0]],
         rows[:, split[0] : split[1]],
         rows[:, split[1] :],
-        reach if relu or not reaches else mirrored(reach),
-        np.concatenate(means, axis=1) if means else np.zeros((batch, 0)),
+        reach if relu else mirrored(reach),
+        mean_reach,
         relu,
         np.concatenate(shares, axis=2) if shares else np.zeros((batch, d, 0)),
     )
 
 
-def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
-    """Applies ReLU in place; returns the new symbols' next rows, reach, its mean and shares.
+def _relu(rows: Floats, split: tuple[int, int], weight: Floats, average: bool) -> _Symbols:
+    """Applies ReLU in place; returns the new symbols' next rows, reach (last its mean), shares.
 
     For z in [l, u], l < 0 < u, and slope a = u / (u - l): max(0, z) = a z + g(z) with
     0 <= g(z) = max((1 - a) z, -a z) <= w = -l u / (u - l). The new symbol is 2 g / w - 1. As g is
@@ -195,11 +204,13 @@ def _relu(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
     rows *= slope[:, None, :]
     rows[:, 0] += half
     outgoing = weight[0][part] if len(weight) == 1 else weight[np.arange(len(rows))[:, None], part]
-    return own_half[:, :, None] * outgoing, reach, reach.mean(axis=1), share
+    if average:
+        reach = np.concatenate([reach, reach.mean(axis=1, keepdims=True)], axis=1)
+    return own_half[:, :, None] * outgoing, reach, share
 
 
-def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
-    """Applies tanh in place; returns the new symbols' next rows, reach, its mean and shares.
+def _tanh(rows: Floats, split: tuple[int, int], weight: Floats, average: bool) -> _Symbols:
+    """Applies tanh in place; returns the new symbols' next rows, reach (last its mean), shares.
 
     With z = z0 + v + e, v the linear part and |e| <= o the rest: tanh z = t0 + t1 (v + e)
     + t2 v^2 / 2 + r, |r| <= |t2| (2 |v| + o) o / 2 + max |tanh'''| (|v| + o)^3 / 6.
@@ -219,7 +230,7 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
     half = bend * (2.0 * straight + other) + third * ends**3
     # At a corner, over half, with x = |v| + o: (2 bend + third x^2) x - bend o. So too on average.
     scale = 1.0 / np.maximum(half, _TINY)
-    size = sizes(linear) + other[:, None]
+    size = sizes(linear, average) + other[:, None]
     reach = size * size
     reach *= (third * scale)[:, None]
     reach += (2.0 * bend * scale)[:, None]
@@ -233,7 +244,7 @@ def _tanh(rows: Floats, split: tuple[int, int], weight: Floats) -> _Symbols:
     rows[:, 0] = value
     rows[:, 1:] *= slope[:, None, :]
     rows[:, split[0] : split[1]] += half_bend[:, None, :] * product
-    return half[:, :, None] * weight, reach[:, :-1], reach[:, -1], share
+    return half[:, :, None] * weight, reach, share
 
 
 def third_derivative_bound(lower: Floats, upper: Floats) -> Floats:

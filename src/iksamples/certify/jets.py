@@ -254,24 +254,27 @@ class Linkage:
 
         Returns:
             Bounds at the corners [mm], shape (boxes, corners); of the mean over the box [mm], shape
-            (boxes,); shares of the largest at the corners, shape (boxes, d).
+            (boxes, 1), no column where the joints have no means; shares of the largest at the
+            corners, shape (boxes, d).
         """
         # Changes of the angles: the linear part corner by corner (opposite corners have opposite
         # changes, so half of them do), everything else at its largest.
         sums = self.angle_sums.T
         added = joints.linear @ sums
-        turns = self.turns(sizes(added))
+        average = bool(joints.mean_reach.shape[1])
+        turns = self.turns(sizes(added, average))
         small_turns = self.turns(largest_bend(joints.quadratic, joints.noise, sums))[:, None]
         lengths = self.lengths_mm(joints.centre)[:, None]
         shifts: Floats | float = 0.0
         small_shifts: Floats | float = 0.0
         if self.slides_at_all:
-            shifts = self.shifts_mm(sizes(joints.linear))
+            shifts = self.shifts_mm(sizes(joints.linear, average))
             small_shifts = self.shifts_mm(largest_bend(joints.quadratic, joints.noise))[:, None]
         bent = bending_mm(lengths, turns, small_turns, shifts, small_shifts)
         cubic = cubic_remainder_mm(lengths, turns + small_turns, shifts + small_shifts)
-        remainder = bent + cubic
-        remainder, mean = remainder[:, :-1], remainder[:, -1]
+        both = bent + cubic
+        half = both.shape[1] - average
+        remainder, mean = both[:, :half], both[:, half:]
 
         # By how far each edge alone turns the vectors, weighted as in the cubic remainder.
         alone = self.turns(np.abs(added))

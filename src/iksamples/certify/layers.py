@@ -128,9 +128,9 @@ class Layers:
         """A network has no seams."""
         return region
 
-    def expand(self, which: Ints, centre: Floats, radius: Floats) -> Expansion:
+    def expand(self, which: Ints, centre: Floats, radius: Floats, average: bool) -> Expansion:
         """Encloses the networks' answers over boxes (``enclosure.expand``)."""
-        return expand(self, which, centre, radius)
+        return expand(self, which, centre, radius, average)
 
     def predict(self, x: Floats, which: Ints) -> Floats:
         """Joint values at single points.

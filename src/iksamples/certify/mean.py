@@ -231,7 +231,7 @@ class _Cells:
             size = (self.region.upper - self.region.lower)[at]
             centre = self.region.lower[at] + size * (low + 0.5 * edge)
             which = np.zeros(len(low), int)
-            [residual] = self.errors.residuals(which, centre, 0.5 * size * edge)
+            [residual] = self.errors.residuals(which, centre, 0.5 * size * edge, average=True)
             with np.errstate(all="ignore"):
                 weight = _weight(residual)
                 known = np.isfinite(weight).all(axis=1, keepdims=True)
@@ -304,7 +304,7 @@ def _cut(residual: Residual) -> _Cut:
     noise = np.linalg.norm(size.sum(axis=1), axis=1)
     mean_noise = noise
     if not residual.one_sided:
-        each = residual.mean_reach * np.linalg.norm(size, axis=2)
+        each = residual.mean_reach[:, 0] * np.linalg.norm(size, axis=2)
         mean_noise = np.minimum(noise, each.sum(axis=1))
     return _Cut(
         mean,
@@ -314,7 +314,7 @@ def _cut(residual: Residual) -> _Cut:
         across**2 @ square,
         (across @ largest) ** 2,
         noise + residual.remainder_mm.max(axis=1),
-        mean_noise + residual.mean_remainder_mm,
+        mean_noise + residual.mean_remainder_mm[:, 0],
     )
 
 

@@ -52,11 +52,12 @@ class Residual:
             coordinates).
         reach: Reach of the symbols at the corners (``enclosure.Expansion``), shape (boxes, corners,
             symbols).
-        mean_reach: At least the mean of the reach over the box, shape (boxes, symbols).
+        mean_reach: At least the mean of the reach over the box, shape (boxes, 1, symbols); no row
+            where it was not asked for, as with the next mean.
         one_sided: Whether the symbols lean to one side.
         remainder_mm: Norm of the remainder at the corners of the box, convex in s, shape
             (boxes, corners).
-        mean_remainder_mm: At least its mean over the box, shape (boxes,).
+        mean_remainder_mm: At least its mean over the box, shape (boxes, 1).
         most_mm: No residual over a box is larger, by the arm's reach alone, shape (boxes,).
         weight_mm: How much is lost to the extent of the box along each axis, roughly; says which
             axis is worth splitting, shape (boxes, d).
@@ -202,15 +203,18 @@ class ErrorOverBoxes:
         return upper, corners_at[:, None], weight
 
     @np.errstate(all="ignore")
-    def residuals(self, which: Ints, centre: Floats, radius: Floats) -> list[Residual]:
+    def residuals(
+        self, which: Ints, centre: Floats, radius: Floats, average: bool = False
+    ) -> list[Residual]:
         """Encloses the residual of each vector over boxes.
 
         Args:
             which: The network that each box is for, shape (boxes,).
             centre: Centres of the boxes, shape (boxes, d).
             radius: Their half edges, shape (boxes, d).
+            average: Whether means over the boxes are asked for.
         """
-        joints = self.answers.expand(which, centre, radius)
+        joints = self.answers.expand(which, centre, radius, average)
         first = self.vectors[0]
         driven = first.driven(joints, centre, radius)  # the same for all of them
         edges = radius / self.extent

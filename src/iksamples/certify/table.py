@@ -69,13 +69,14 @@ class Table:
         """Joint values at points, shape (points, joints); ``which`` says nothing."""
         return self._at(self.cells(points), points[:, None])[:, 0]
 
-    def expand(self, which: Ints, centre: Floats, radius: Floats) -> Expansion:
+    def expand(self, which: Ints, centre: Floats, radius: Floats, average: bool) -> Expansion:
         """Encloses the answers over boxes, each inside a cell: exactly, up to products of two.
 
         Args:
             which: Says nothing.
             centre: Centres, shape (boxes, d).
             radius: Half edges, shape (boxes, d).
+            average: Whether means over the boxes are asked for.
         """
         batch, d = centre.shape
         signs = corners(d)
@@ -97,7 +98,7 @@ class Table:
             np.concatenate([squares, np.stack(mixed, axis=1)], axis=1) if mixed else squares,
             np.stack(noise, axis=1) if noise else np.zeros((batch, 0, self.n_outputs)),
             np.ones((batch, len(signs), len(higher))),
-            np.ones((batch, len(higher))),
+            np.ones((batch, int(average), len(higher))),
             False,
             np.broadcast_to(shares.reshape(d, len(higher)), (batch, d, len(higher))),
         )
