@@ -168,6 +168,7 @@ def asked(*arguments):
     return CliRunner().invoke(app, ["next", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_command_proposes_poses_until_they_are_enough(tmp_path):
     """An owner's way: no samples, then what was proposed and measured, then to stop."""
     robot, poses, samples = "config/robots/rrr70.urdf", tmp_path / "next.csv", tmp_path / "had.csv"

@@ -176,6 +176,7 @@ def test_trigonometric_refuses_what_it_cannot_be(study, task):
         fit("trigonometric", task, held)
 
 
+@pytest.mark.slow
 def test_a_fitted_drawing_says_how_far_it_may_be_off(tmp_path):
     """With 95 % confidence, over arms; other methods and paths say nothing."""
     study = parse_study(

@@ -510,6 +510,7 @@ def in_single_precision(stack, points):
     return hidden.astype(float)
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -542,6 +543,7 @@ def test_single_precision_is_bounded_for_any_network(seed, kinds, activation, de
     assert apart <= slack
 
 
+@pytest.mark.slow
 def test_single_precision_on_a_crane():
     """An arm of 12 m: what is allowed for is a small part of a millimetre, not a hand's breadth."""
     rng = np.random.default_rng(4)

@@ -104,6 +104,7 @@ WAYS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), activation=st.sampled_from(["relu", "tanh"]),
        depth=st.integers(1, 2), turns=st.integers(1, 3))  # fmt: skip

@@ -59,6 +59,7 @@ def test_an_orientation_that_is_kept_is_no_endless_search(rng):
     assert turned_away(chain, asked["target"], joints, points).max() <= found.upper
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -76,6 +76,7 @@ def test_bad_cells_are_bad_and_fill_what_is_bad(rng):
     assert volume >= 1 - coverage.upper - coverage.mixed
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -119,7 +120,8 @@ def made_up(centre, linear, quadratic, remainder=0.0):
     return Residual(
         np.array([centre], float), np.array([linear], float), np.array([quadratic], float),
         np.zeros((1, 0, len(centre))), np.zeros((1, 2**d, 0)), np.zeros((1, 1, 0)), True,
-        np.full((1, 2**d), remainder), np.full((1, 1), remainder), np.full(1, np.inf), np.ones((1, d)),
+        np.full((1, 2**d), remainder), np.full((1, 1), remainder),
+        np.full(1, np.inf), np.ones((1, d)),
     )  # fmt: skip
 
 

@@ -77,6 +77,7 @@ def test_both_enclosures_of_a_table_hold_its_values(seed, d, size):
     np.testing.assert_allclose(exact, at, atol=1e-8)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), kinds=st.sampled_from(["RR", "RRR", "RPR", "RRRR"]))
 def test_no_table_exceeds_its_bound(seed, kinds):

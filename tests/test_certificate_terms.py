@@ -309,6 +309,7 @@ def test_cubic_means_hold_and_are_near(seed, d):
     assert np.all(bound <= 1.08 * exact)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     seed=SEEDS, kinds=st.sampled_from(["RR", "RRR", "RRP"]), d=st.integers(2, 3),

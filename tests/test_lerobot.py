@@ -162,6 +162,7 @@ def test_names_that_a_mapping_resolves(tmp_path, drawing):
     assert found.joint_names == tuple(JOINTS)
 
 
+@pytest.mark.slow
 def test_the_command_says_that_it_is_the_drawing(tmp_path, drawing):
     folder = data_set(tmp_path / "set", in_degrees(frames(drawing, 60)))
     options = ["--robot", URDF, "--joint-unit", "deg", "--tool-from-drawing", "--subsets", "3"]

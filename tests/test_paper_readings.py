@@ -99,6 +99,7 @@ def test_the_distance_counts_in_units_of_the_papers_spread(
     assert found["log_ratio"] == pytest.approx(np.sqrt(np.mean(np.log(ratio) ** 2)))
 
 
+@pytest.mark.slow
 def test_the_best_are_chosen_and_the_best_that_keep_each_word(rng: np.random.Generator) -> None:
     drawn = draw_readings(Readings(count=200))
     away = rng.permutation(np.linspace(0.5, 40, len(drawn)))
@@ -197,6 +198,7 @@ def test_what_the_readings_would_ignore_is_refused() -> None:
             parse_study(settings | ignored)
 
 
+@pytest.mark.slow
 def test_check_and_plan_describe_the_readings(tmp_path: Path, command: str) -> None:
     """Their networks are those that the two trainings leave, counted by hand."""
     study = tmp_path / "few.yaml"

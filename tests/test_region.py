@@ -77,6 +77,7 @@ def test_faces_may_be_shared_and_corners_cannot_be_moved():
         region.upper[0, 0] = 5
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

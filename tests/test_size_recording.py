@@ -47,6 +47,7 @@ def found(tmp_path_factory):
     return study, drawing, arm, table, with_drawing, without
 
 
+@pytest.mark.slow
 def test_no_record_judges_what_has_learned_from_it(found):
     study, *_ = found
     some = orders(study, 60)
@@ -289,6 +290,7 @@ def test_clean_records_raise_no_doubt(tmp_path):
         assert (len(recording), lines) == (60, [])
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path):
     _, _, table = recorded()
     table.to_csv(tmp_path / "arm.csv", index=False)

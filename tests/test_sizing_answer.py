@@ -190,6 +190,7 @@ def test_two_sizes_are_no_learning_curve():
     assert "no learning curve" in told(network)
 
 
+@pytest.mark.slow
 def test_samples_needed_is_the_answer_for_every_tolerance(rng):
     study = make_study({"error_mm": 1.0}, methods=METHODS)
     table = {m: [25 / (m - 1) ** 2] for m in range(2, 9)}

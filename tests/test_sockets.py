@@ -108,6 +108,7 @@ def test_a_recording_that_is_not_there_says_where_to_get_it(tmp_path):
         learning_curve(study_of(tmp_path / "few"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sockets", "table"])
 def test_steps_of_a_recorded_study_end_in_a_report(tmp_path, kind):
     if kind == "sockets":

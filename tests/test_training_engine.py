@@ -47,6 +47,7 @@ SHAPES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "shape"),
     [(engine, shape) for engine in ("reference", "fused") for shape in SHAPES],
