@@ -1,5 +1,7 @@
 """Certified worst cases against dense points, closed forms, a second checker and broken copies."""
 
+import itertools
+import time
 from fractions import Fraction
 from itertools import pairwise
 
@@ -189,6 +191,25 @@ def test_an_unfinished_search_says_so_and_still_bounds(chain, rng):
     full = certify_sup(stack, 0, chain, Region.box(LOWER, UPPER))
     assert cut.lower <= full.upper <= cut.upper * (1 + 1e-12)
     assert cut.upper > full.upper
+
+
+def test_no_number_depends_on_how_busy_the_machine_is(chain, rng, monkeypatch):
+    stack = networks(rng, "tanh", (16,), n=1)
+    box = Region.box(LOWER, UPPER)
+
+    def numbers():
+        worst, mean = certify_sup(stack, 0, chain, box), certify_mean(stack, 0, chain, box)
+        share = certify_coverage(stack, 0, chain, box, worst.lower / 2)
+        return (
+            (worst.lower, worst.upper, worst.boxes, worst.complete),
+            (mean.lower_mm, mean.upper_mm, mean.boxes, mean.complete),
+            (share.lower, share.upper, share.boxes, share.complete),
+        )
+
+    quiet = numbers()
+    hours = itertools.count(step=3600.0)
+    monkeypatch.setattr(time, "perf_counter", lambda: next(hours))
+    assert numbers() == quiet
 
 
 @pytest.mark.parametrize(

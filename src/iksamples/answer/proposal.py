@@ -209,7 +209,6 @@ def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:
             Region.box(edges[corner, axes], edges[corner + 1, axes]),
             rtol=_RTOL,
             max_boxes=_MAX_BOXES,
-            time_limit_s=np.inf,
             target=task.target,
         )
         found += [certificate.argmax for certificate in certificates]

@@ -11,7 +11,7 @@ from iksamples.arm.chain import SerialChain
 from iksamples.arm.target import Target
 from iksamples.certify.enclosure import corners
 from iksamples.certify.residual import ErrorOverBoxes, Residual
-from iksamples.certify.search import halved
+from iksamples.certify.search import affordable_boxes, halved
 from iksamples.certify.table import Table
 from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
@@ -87,8 +87,7 @@ def certify_mean(
     *,
     rtol: float = 0.025,
     atol_mm: float = 0.0,
-    max_boxes: int = 1_000_000,
-    time_limit_s: float = 60.0,
+    max_boxes: int | None = None,
     target: Target | None = None,
 ) -> MeanError:
     """The mean position error over a region, uniformly weighted.
@@ -100,8 +99,7 @@ def certify_mean(
         region: The inputs that it is about.
         rtol: The bounds end up within this share of their middle,
         atol_mm: or within this length of it [mm], if that is more.
-        max_boxes: Cells to bound, at most.
-        time_limit_s: Time to spend, at most [s].
+        max_boxes: Cells to bound, at most; ``search.affordable_boxes`` if None.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
@@ -110,6 +108,7 @@ def certify_mean(
     began = time.perf_counter()
     errors = _errors(network, row, chain, region, target)
     cells = _Cells(errors)
+    most_boxes = affordable_boxes(network) if max_boxes is None else max_boxes
     while True:
         cells.bound_new(_mean_of_cells)
         volume = cells.volume
@@ -118,7 +117,7 @@ def certify_mean(
         allowed = max(rtol * (least + most), 2 * atol_mm)
         done = np.isfinite(most) and most - least <= allowed
         spent = time.perf_counter() - began
-        if done or cells.bounded >= max_boxes or spent > time_limit_s:
+        if done or cells.bounded >= most_boxes:
             return MeanError(max(least, 0.0), most, cells.bounded, spent, done)
         cells.split(volume * (cells.most - cells.least), allowed)
 
@@ -132,8 +131,7 @@ def certify_coverage(
     *,
     atol: float = 0.02,
     mixed: float = 1.0,
-    max_boxes: int = 1_000_000,
-    time_limit_s: float = 60.0,
+    max_boxes: int | None = None,
     target: Target | None = None,
 ) -> Coverage:
     """The share of a region where the position error is at most a tolerance.
@@ -147,8 +145,7 @@ def certify_coverage(
         atol: The bounds of the share end up this close.
         mixed: Cells that are neither good nor bad throughout end up with at most this share of the
             region. The share itself needs no such limit; a drawing of the bad cells does.
-        max_boxes: Cells to bound, at most.
-        time_limit_s: Time to spend, at most [s].
+        max_boxes: Cells to bound, at most; ``search.affordable_boxes`` if None.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
 
     Raises:
@@ -160,6 +157,7 @@ def certify_coverage(
     errors = _errors(network, row, chain, region, target)
     slack = float(errors.slack[0])
     cells = _Cells(errors)
+    most_boxes = affordable_boxes(network) if max_boxes is None else max_boxes
     while True:
         cells.bound_new(lambda residual: _share_of_cells(residual, tolerance_mm, slack))
         volume = cells.volume
@@ -168,7 +166,7 @@ def certify_coverage(
         left = float(volume @ undecided)
         done = most - least <= atol and left <= mixed
         spent = time.perf_counter() - began
-        if done or cells.bounded >= max_boxes or spent > time_limit_s:
+        if done or cells.bounded >= most_boxes:
             bad = cells.corners_mm(cells.most <= 0.0)
             limit_mm = float(tolerance_mm)
             return Coverage(limit_mm, least, most, *bad, left, cells.bounded, spent, done)

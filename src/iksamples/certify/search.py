@@ -31,6 +31,11 @@ _FINE = 1e-6
 _NO_BOUND = float(np.finfo(float).max)
 _SMALLEST = 2.0**-48
 """Edges, as a share of the region's, are not halved below this; they stay exact in float64."""
+_MOST_BOXES = 1_000_000
+_WORK, _OVERHEAD = 2.5e9, 1000
+"""Of a search without limits, in weights: what it may come to, and what a box costs beside the
+network's own. That is a minute, more or less (2 cores of 2026); counted, so that no number depends
+on what else runs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +88,8 @@ def certify_stack(
     rtol: float = 1e-3,
     atol: float = 0.0,
     seeds: ArrayLike | None = None,
-    max_boxes: int = 1_000_000,
-    time_limit_s: float = 60.0,
+    max_boxes: int | None = None,
+    time_limit_s: float = np.inf,
     keep_leaves: bool = False,
     target: Target | None = None,
     measure: Measure = "position",
@@ -103,8 +108,9 @@ def certify_stack(
         rtol: The search ends once upper <= (1 + rtol) lower,
         atol: or upper <= lower + atol [mm or rad], or both are nearer than rounding.
         seeds: Points of the region worth trying, such as the training points, shape (n, in).
-        max_boxes: Boxes to bound per network, at most.
-        time_limit_s: Time to spend per network, at most [s].
+        max_boxes: Boxes to bound per network, at most; ``affordable_boxes`` if None.
+        time_limit_s: Time to spend per network, at most [s]. What a search that it cuts short
+            finds depends on the machine.
         keep_leaves: Whether to keep the boxes of the proof.
         target: What is asked of the tool; ``compared.target_of`` the inputs if None.
         measure: ``"position"`` [mm] or ``"angle"`` [rad].
@@ -116,6 +122,7 @@ def certify_stack(
     began = time.perf_counter()
     objective = ErrorOverBoxes(network, chain, region, target, measure)
     n, region, slack = objective.n_networks, objective.region, objective.slack
+    max_boxes = affordable_boxes(network) if max_boxes is None else max_boxes
     # A table that keeps the orientation exactly has an error of 0, which no share comes near.
     near = np.maximum(3.0 * slack, max(atol, _FINE))
     best, argmax = _first_values(objective, seeds)
@@ -180,6 +187,12 @@ def certify_stack(
         )
         for row in range(n)
     ]
+
+
+def affordable_boxes(answers: StackedMLP | Table) -> int:
+    """Boxes that are bounded in about a minute, at most a million: fewer for a larger network."""
+    weights = sum(one[0].size for one in answers.weights) if isinstance(answers, StackedMLP) else 0
+    return int(min(_MOST_BOXES, _WORK / (_OVERHEAD + weights)))
 
 
 def _first_values(objective: ErrorOverBoxes, seeds: ArrayLike | None) -> tuple[Floats, Floats]:

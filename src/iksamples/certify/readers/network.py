@@ -252,8 +252,8 @@ def prove(
     *,
     rtol: float = 1e-3,
     atol_deg: float = 0.0,
-    time_limit_s: float = 60.0,
-    max_boxes: int = 1_000_000,
+    time_limit_s: float = np.inf,
+    max_boxes: int | None = None,
 ) -> dict[Measure, list[Proved]]:
     """Bounds the largest errors of every network that was read, and checks the proofs.
 
