@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from iksamples.plan import in_words, plan_study, plan_text
+from iksamples.plan import in_words, plan_study, plan_text, resources
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
 from iksamples.study import parse_study
@@ -98,3 +98,13 @@ def test_arms_of_which_nothing_can_be_proved_have_a_plan():
     steps = {step.step: step for step in plan_study(study, 3).steps}
     assert "prove" not in steps
     assert steps["evaluate"].seconds > 0
+
+
+def test_a_scheduler_is_asked_for_more_than_the_estimate():
+    study = parse_study(SETTINGS)
+    for step in plan_study(study, 3).steps:
+        asked = resources(study, step.step)
+        assert asked["mem_mb"] > step.memory_mb
+        assert 60 * asked["runtime"] > step.longest_s
+    for apart in ({"readings": {}}, {"samples": {"recorded": {"path": "r.csv"}}}):
+        assert resources(parse_study({"name": "s", **apart}), "learn")["mem_mb"] > 0

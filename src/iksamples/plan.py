@@ -6,6 +6,7 @@ studies in ``config``; another machine may take half or twice as long.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import ceil
 
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
@@ -100,6 +101,28 @@ def plan_study(study: Study, n_joints: int, cached: dict[str, int] | None = None
         for name in networks(study)
     ]
     return Plan(methods, list(_steps(study, n_joints, methods)))
+
+
+def resources(study: Study, rule: str) -> dict[str, int]:
+    """What a scheduler is asked for, for one job of a rule: the estimate with room to spare.
+
+    Args:
+        study: The study.
+        rule: Name of the rule; one that is not in the plan does next to nothing.
+
+    Returns:
+        ``mem_mb`` [MB] and ``runtime`` [min], as Snakemake names them.
+    """
+    # An arm has as many joints as inputs at least; how many hardly matters here.
+    steps = () if _apart(study) else plan_study(study, n_joints=len(study.task.inputs)).steps
+    found = {step.step: step for step in steps}.get(rule)
+    memory_mb, seconds = (found.memory_mb, found.longest_s) if found else (_OTHER_MB, 0.0)
+    return {"mem_mb": ceil(1.5 * memory_mb), "runtime": ceil(_SLOWER * seconds / 60) + 5}
+
+
+def _apart(study: Study) -> bool:
+    """Whether the study has rules of its own."""
+    return bool(study.readings or study.samples.recorded)
 
 
 def plan_text(study: Study, plan: Plan, cores: int) -> str:
@@ -213,6 +236,8 @@ _START = {
     "report": 5.0,
 }
 _ELSEWHERE = "another machine may take half or twice as long."
+_SLOWER = 4
+"""Times slower than here a machine may be, before a scheduler ends its job."""
 _SNAKEMAKE, _SCHEDULING = 4.0, 0.4
 """Of Snakemake itself: to begin with, and per job."""
 _FIT = 0.03
