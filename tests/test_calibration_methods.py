@@ -191,10 +191,10 @@ def test_a_fitted_drawing_says_how_far_it_may_be_off(tmp_path):
     )
     task = study_task(study)
     samples = grid_samples(study, task, 2)
-    errors = evaluate(study, task, samples, "fitted", tmp_path)[0]["errors"]
+    errors = next(evaluate(study, task, samples, "fitted", tmp_path))["errors"]
     whole = errors[errors["region"] == "cube"]
     missed = int((whole["error_max_mm"] > whole["confident_mm"]).sum())
     assert missed <= binom.ppf(0.999, 60, 0.05)
     assert (whole["confident_mm"] / whole["error_max_mm"]).median() < 2
     assert errors.loc[errors["region"] != "cube", "confident_mm"].isna().all()
-    assert "confident_mm" not in evaluate(study, task, samples, "nominal", tmp_path)[0]["errors"]
+    assert "confident_mm" not in next(evaluate(study, task, samples, "nominal", tmp_path))["errors"]

@@ -1,15 +1,19 @@
 """Errors measured through the forward kinematics."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from certificate_cases import plain_answer, plain_tip, random_network, turned_away
 
+from iksamples.cli.common import write_tables
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import cube_errors, send, summarise, track_paths
+from iksamples.evaluation.errors import cube_errors, evaluate, send, summarise, track_paths
 from iksamples.evaluation.paths import require_reachable, waypoints
 from iksamples.evaluation.slices import error_slices
+from iksamples.methods.predictor import in_parts
 from iksamples.network import StackedMLP
-from iksamples.samples.record import region_points
+from iksamples.paper.equations import audit
+from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import DoubleRectangle, Heart, parse_study, read_study
 from iksamples.task import study_task
 
@@ -141,6 +145,47 @@ def test_summary_is_over_points_within_a_seed(study, chain):
     reached_mm = one[["reached_x_mm", "reached_y_mm", "reached_z_mm"]].to_numpy()
     joints = one[["q_yaw_rad", "q_shoulder_rad", "q_elbow_rad"]].to_numpy()
     np.testing.assert_allclose(chain.forward_mm(joints), reached_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize("sizes", [(3, 9, 3), (3, 9, 5, 3)])
+def test_numbers_do_not_depend_on_how_much_is_held_at_once(sizes, rng, tmp_path, monkeypatch):
+    """In one piece and in parts of seeds and points, through the files."""
+    study = parse_study({"name": "x", "evaluation": {"cube_points": 100}})
+    task = study_task(study)
+    network = random_network(rng, sizes, "tanh", 7, lower=task.x.lower, upper=task.x.upper)
+    network.save(tmp_path / "weights.safetensors")
+    samples = grid_samples(study, task, 2)
+    kinds = ("waypoints", "cube", "errors")
+
+    def measured(name):
+        write_tables(tmp_path / name, evaluate(study, task, samples, "network", tmp_path))
+        tables = {kind: pd.read_parquet(tmp_path / name / f"{kind}.parquet") for kind in kinds}
+        tables["bounds"] = pd.concat(
+            [
+                audit(study, samples, part, tables["cube"][tables["cube"]["seed"].isin(part.seeds)])
+                for part in in_parts(network, 100, 250 if name == "parts" else 10**6)
+            ],
+            ignore_index=True,
+        )
+        return tables
+
+    whole = measured("whole")
+    for module, name, value in (
+        ("evaluation.errors", "_ROWS", 1200),
+        ("evaluation.errors", "_AT_ONCE", 48),
+        ("network", "_POINTS", 16),
+        ("network", "_NEURONS", 300),
+    ):
+        monkeypatch.setattr(f"iksamples.{module}.{name}", value)
+    parts = measured("parts")
+    assert not parts["waypoints"].equals(whole["waypoints"])  # in another order
+    for kind, table in whole.items():
+        keys = [key for key in ("region", "path", "seed", "waypoint", "point") if key in table]
+        pd.testing.assert_frame_equal(
+            parts[kind].sort_values(keys, ignore_index=True),
+            table.sort_values(keys, ignore_index=True),
+            check_exact=True,
+        )
 
 
 @pytest.mark.parametrize("shape", ["double_rectangle", "heart", "circle", "lemniscate", "helix"])

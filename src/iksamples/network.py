@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "tanh": np.tanh,
 }
 """Activation name -> function on arrays."""
+
+_POINTS, _NEURONS = 2**14, 2**22
+"""Points of a network, and values of its widest layer, that are worked out at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +63,25 @@ class StackedMLP:
         Returns:
             Joint values [rad or mm], shape (seeds, points, joints).
         """
-        hidden = (np.asarray(x, float) - self.offset) / self.scale
-        for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = hidden @ weight.astype(float) + bias.astype(float)[:, None, :]
-            if depth < len(self.weights) - 1:
-                hidden = ACTIVATIONS[self.activation](hidden)
-        return hidden
+        x = np.asarray(x, float)
+        points = [slice(i, i + _POINTS) for i in range(0, len(x), _POINTS)] or [slice(0)]
+        widest = max(bias.shape[1] for bias in self.biases)
+        n_rows = max(1, _NEURONS // (widest * min(_POINTS, len(x) or 1)))
+        answers = np.empty((self.n_seeds, len(x), self.biases[-1].shape[1]))
+        for first in range(0, self.n_seeds, n_rows):
+            rows = slice(first, first + n_rows)
+            weights = [weight[rows].astype(float) for weight in self.weights]
+            biases = [bias[rows].astype(float)[:, None, :] for bias in self.biases]
+            for some in points:
+                hidden = (x[some] - self.offset) / self.scale
+                for depth, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+                    hidden = hidden @ weight + bias
+                    if depth < len(weights) - 1:
+                        hidden = ACTIVATIONS[self.activation](hidden)
+                answers[rows, some] = hidden
+        return answers
 
-    def select(self, rows: ArrayLike) -> "StackedMLP":
+    def select(self, rows: ArrayLike) -> Self:
         """The networks in the given rows of the stack, in that order."""
         index = np.atleast_1d(np.asarray(rows, int))
         return replace(

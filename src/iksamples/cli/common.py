@@ -1,15 +1,19 @@
 """What the commands share: the application, its options, and opening and writing files."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from iksamples.errors import IksamplesError
+from iksamples.files import kept_file
 
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from iksamples.samples.dataset import SampleSet
     from iksamples.study import Design, Study
     from iksamples.task import Task
@@ -103,6 +107,25 @@ def load_samples(files: list[Path]) -> "list[SampleSet]":
     from iksamples.samples.dataset import SampleSet
 
     return [SampleSet.load(file) for file in files]
+
+
+def write_tables(folder: Path, parts: "Iterable[dict[str, pd.DataFrame]]") -> None:
+    """Writes tables that come some rows at a time, each into a Parquet file of its name.
+
+    Where making them ends with an error, nothing is written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    with ExitStack() as stack:
+        writers: dict[str, parquet.ParquetWriter] = {}
+        for tables in parts:
+            for name, frame in tables.items():
+                table = pa.Table.from_pandas(frame)
+                if name not in writers:
+                    file = stack.enter_context(kept_file(folder / f"{name}.parquet"))
+                    writers[name] = stack.enter_context(parquet.ParquetWriter(file, table.schema))
+                writers[name].write_table(table)
 
 
 def open_study(study_file: Path) -> "tuple[Study, Task]":

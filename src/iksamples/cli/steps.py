@@ -19,6 +19,7 @@ from iksamples.cli.common import (
     record_sets,
     require_feasible,
     require_one_of,
+    write_tables,
 )
 from iksamples.errors import IksamplesError
 from iksamples.files import checked, kept_file
@@ -77,6 +78,8 @@ def evaluate(
 ) -> None:
     """Send methods along the paths and over the workspace; measure through the FK."""
     from iksamples.evaluation.errors import evaluate as measure
+    from iksamples.evaluation.errors import nothing_measured
+    from iksamples.methods.predictor import NotApplicableError
     from iksamples.study import read_study
     from iksamples.task import study_task
 
@@ -90,12 +93,11 @@ def evaluate(
             if samples.design not in study.designs(name):
                 continue
             cell = results / name / samples.label
-            tables, why_not = measure(study, task, samples, name, cell)
-            if why_not:
-                typer.echo(why_not, err=True)
-            for kind, table in tables.items():
-                with kept_file(cell / f"{kind}.parquet") as file:
-                    table.to_parquet(file)
+            try:
+                write_tables(cell, measure(study, task, samples, name, cell))
+            except NotApplicableError as why_not:
+                typer.echo(str(why_not), err=True)
+                write_tables(cell, [nothing_measured()])
 
 
 @app.command()
@@ -118,6 +120,7 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     """Compute the paper's bounds for trained networks, and how often each is exceeded."""
     import pandas as pd
 
+    from iksamples.methods.predictor import in_parts
     from iksamples.network import StackedMLP
     from iksamples.paper.equations import audit
     from iksamples.study import read_study
@@ -125,11 +128,16 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     study = read_study(study_file)
     for samples in load_samples(samples_files):
         cell = folder / samples.label
-        network = StackedMLP.load(cell / "weights.safetensors")
-        cube = pd.read_parquet(checked(cell / "cube.parquet"))
-        table = audit(study, samples, network, cube)
+        network, cube = (
+            StackedMLP.load(cell / "weights.safetensors"),
+            checked(cell / "cube.parquet"),
+        )
+        rows = []
+        for part in in_parts(network, study.evaluation.cube_points, 2**18):
+            of_these = [("seed", "in", list(part.seeds))]
+            rows.append(audit(study, samples, part, pd.read_parquet(cube, filters=of_these)))
         with kept_file(cell / "bounds.parquet") as file:
-            table.to_parquet(file)
+            pd.concat(rows, ignore_index=True).to_parquet(file)
 
 
 @app.command()

@@ -1,8 +1,9 @@
 """Errors of methods on paths and over the whole region, and what arms leave them at least."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import followed
 from iksamples.arm.real import Arm, RealArm
-from iksamples.evaluation.paths import waypoints
-from iksamples.methods.predictor import NotApplicableError, Predictor, Single, Stacked
+from iksamples.evaluation.paths import count_waypoints, waypoints
+from iksamples.methods.predictor import (
+    Predictor,
+    Single,
+    Stacked,
+    in_parts,
+)
 from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP, layers_of, read_tensors
 from iksamples.samples.dataset import SampleSet
@@ -23,6 +29,9 @@ from iksamples.task import Task
 
 CUBE = "cube"
 """Name of the region of a table that is the whole region of the study."""
+
+_ROWS, _AT_ONCE = 2**20, 2**16
+"""Points of all members in tables that are held at once, and that are followed to the tool."""
 
 MEASURES = {"error_mm": "error_{}_mm", "angle_deg": "angle_{}_deg"}
 """Column of an error measure -> columns of its statistics over the points of a region."""
@@ -116,12 +125,20 @@ def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> pd.
         point counts along ``region_points``.
     """
     points = region_points(task.region, evaluation.cube_points)
-    errors = send(predictor, task, points).errors()
+    measured: dict[str, list[NDArray[np.float32]]] = {}
+    for part in in_parts(predictor, len(points), _AT_ONCE):
+        pieces = [
+            send(part, task, points[first : first + _AT_ONCE]).errors()
+            for first in range(0, len(points), _AT_ONCE)
+        ]
+        for measure in pieces[0]:
+            single = [piece[measure].astype(np.float32) for piece in pieces]
+            measured.setdefault(measure, []).append(np.concatenate(single, axis=1).ravel())
     return pd.DataFrame(
         {
             "point": np.tile(np.arange(len(points), dtype=np.int32), len(predictor.seeds)),
             "seed": np.repeat(np.asarray(predictor.seeds, np.int32), len(points)),
-            **{measure: values.astype(np.float32).ravel() for measure, values in errors.items()},
+            **{measure: np.concatenate(parts) for measure, parts in measured.items()},
         }
     )
 
@@ -157,8 +174,8 @@ def summarise(waypoints: pd.DataFrame, cube: pd.DataFrame) -> pd.DataFrame:
 
 def evaluate(
     study: Study, task: Task, samples: SampleSet, method: str, folder: Path
-) -> tuple[dict[str, pd.DataFrame], str | None]:
-    """Measures a method's errors along the paths and over the workspace.
+) -> Iterator[dict[str, pd.DataFrame]]:
+    """Measures a method's errors along the paths and over the workspace, some seeds at a time.
 
     Args:
         study: The study.
@@ -167,32 +184,47 @@ def evaluate(
         method: Name of the method.
         folder: Where a network's weights are.
 
-    Returns:
-        A table for each of ``TABLES``, and None; or empty tables and why the method cannot use
-        these samples.
+    Yields:
+        The tables waypoints, cube and errors of the next seeds, as ``track_paths``,
+        ``cube_errors`` and ``summarise`` return them.
+
+    Raises:
+        NotApplicableError: The method cannot use these samples.
     """
     own = study.all_methods[method]
-    try:
-        predictor: Predictor = (
-            StackedMLP.load(folder / "weights.safetensors")
-            if not KINDS[own.kind].fit
-            else fit_each(own.kind, task, samples, own.training.all_seeds)
-        )
-    except NotApplicableError as reason:
-        empty = {
-            "waypoints": pd.DataFrame({"path": [], "seed": [], "error_mm": []}),
-            "cube": pd.DataFrame({"point": [], "seed": [], "error_mm": []}),
-        }
-        return {**empty, "errors": summarise(**empty)}, str(reason)
-    waypoints = track_paths(study.evaluation, task, predictor)
-    cube = cube_errors(study.evaluation, task, predictor)
-    errors = summarise(waypoints, cube)
+    predictor: Predictor = (
+        StackedMLP.load(folder / "weights.safetensors")
+        if not KINDS[own.kind].fit
+        else fit_each(own.kind, task, samples, own.training.all_seeds)
+    )
+    n_points = study.evaluation.cube_points + sum(
+        count_waypoints(path) for path in study.evaluation.paths.values()
+    )
     members = predictor.members if isinstance(predictor, Stacked) else [predictor]
     said = [one.confident_mm if isinstance(one, Single) else np.nan for one in members]
-    if np.isfinite(said).any():
-        errors["confident_mm"] = errors["seed"].map(dict(zip(predictor.seeds, said, strict=True)))
-        errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
-    return {"waypoints": waypoints, "cube": cube, "errors": errors}, None
+    for part in in_parts(predictor, n_points, _ROWS):
+        tables = _measured(study.evaluation, task, part)
+        errors = tables["errors"]
+        if np.isfinite(said).any():
+            said_mm = dict(zip(predictor.seeds, said, strict=True))
+            errors["confident_mm"] = errors["seed"].map(said_mm)
+            errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
+        yield tables
+
+
+def nothing_measured() -> dict[str, pd.DataFrame]:
+    """The tables of ``evaluate`` for a method that cannot use the samples."""
+    empty = {
+        "waypoints": pd.DataFrame({"path": [], "seed": [], "error_mm": []}),
+        "cube": pd.DataFrame({"point": [], "seed": [], "error_mm": []}),
+    }
+    return {**empty, "errors": summarise(**empty)}
+
+
+def _measured(evaluation: Evaluation, task: Task, predictor: Predictor) -> dict[str, pd.DataFrame]:
+    waypoints = track_paths(evaluation, task, predictor)
+    cube = cube_errors(evaluation, task, predictor)
+    return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}
 
 
 MAX_EPOCHS = 60
@@ -264,6 +296,10 @@ class OwnInverse:
             answers.append(arm.unloaded(actual) if isinstance(arm, RealArm) else actual)
         return np.stack(answers)
 
+    def select(self, rows: Sequence[int], /) -> Self:
+        """The arms in the given rows, in that order."""
+        return replace(self, seeds=tuple(self.seeds[i] for i in rows))
+
 
 def repeatability(study: Study, task: Task) -> pd.DataFrame:
     """What is left of the error of each arm's own inverse, by the play and the steps of its joints.
@@ -276,6 +312,7 @@ def repeatability(study: Study, task: Task) -> pd.DataFrame:
         As ``evaluation.errors.summarise``: a row for each region and arm.
     """
     known = OwnInverse(task, study.arms)
-    return summarise(
-        track_paths(study.evaluation, task, known), cube_errors(study.evaluation, task, known)
+    parts = in_parts(known, study.evaluation.cube_points, _ROWS)
+    return pd.concat(
+        [_measured(study.evaluation, task, part)["errors"] for part in parts], ignore_index=True
     )

@@ -1,8 +1,8 @@
 """What every method gives in the end: something that answers positions with joint values."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,28 @@ class Predictor(Protocol):
             Joint values [rad, or mm for a prismatic joint], shape (members, points, joints).
         """
 
+    def select(self, rows: Sequence[int], /) -> Self:
+        """The members in the given rows of the stack, in that order."""
+
+
+P = TypeVar("P", bound=Predictor)
+
+
+def in_parts(predictor: P, n_points: int, most: int) -> Iterator[P]:
+    """The members in parts, so that what is known of each at every point fits in memory.
+
+    Args:
+        predictor: Fitted methods.
+        n_points: Points that each is asked.
+        most: Points of all members of a part, where a part has more than one.
+    """
+    n, size = len(predictor.seeds), max(1, most // n_points)
+    if n <= size:
+        yield predictor
+        return
+    for first in range(0, n, size):
+        yield predictor.select(range(first, min(first + size, n)))
+
 
 @dataclass(frozen=True)
 class Single:
@@ -63,6 +85,10 @@ class Single:
         blocks = np.split(x, range(_BLOCK, len(x), _BLOCK))
         return np.concatenate([self.answer(block) for block in blocks])[None]
 
+    def select(self, rows: Sequence[int], /) -> Self:
+        """Itself, the only member."""
+        return self
+
 
 @dataclass(frozen=True)
 class Stacked:
@@ -80,3 +106,8 @@ class Stacked:
         """Joint values [rad or mm], shape (members, points, joints), for inputs (points, d)."""
         answers = {member: member.predict(x)[0] for member in dict.fromkeys(self.members)}
         return np.stack([answers[member] for member in self.members])
+
+    def select(self, rows: Sequence[int], /) -> Self:
+        """The members in the given rows, in that order."""
+        seeds = tuple(self.seeds[i] for i in rows)
+        return replace(self, members=[self.members[i] for i in rows], seeds=seeds)
