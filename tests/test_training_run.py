@@ -1,6 +1,7 @@
 """The training step as a whole: its files read back, and its cache."""
 
 import json
+import os
 
 import numpy as np
 import pandas as pd
@@ -56,6 +57,22 @@ def contents(folder):
                 key: file.get_tensor(key).tobytes() for key in sorted(file.keys())
             }
     return found
+
+
+def test_a_job_of_slurm_trains_as_any_other(tmp_path, monkeypatch):
+    """Lightning looks for Slurm by itself, in the environment and for its commands."""
+    study = make_study()
+    sets = [grid_samples(study, study_task(study), 2)]
+    train_all(study, sets, [tmp_path / "here"])
+    (tmp_path / "srun").write_text("#!/bin/sh\n")
+    (tmp_path / "srun").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    train_all(study, sets, [tmp_path / "beside"])
+    for name, value in {"JOB_ID": 7, "JOB_NAME": "j", "NTASKS": 4, "NNODES": 2, "PROCID": 3}.items():
+        monkeypatch.setenv(f"SLURM_{name}", str(value))
+    train_all(study, sets, [tmp_path / "there"])
+    here = contents(tmp_path / "here")
+    assert contents(tmp_path / "beside") == here == contents(tmp_path / "there")
 
 
 @pytest.mark.parametrize("source", ["fresh", "grid"])

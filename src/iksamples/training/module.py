@@ -14,6 +14,7 @@ import numpy as np
 import pytorch_lightning as pl
 import torch
 from pytorch_lightning.core.optimizer import LightningOptimizer
+from pytorch_lightning.plugins.environments import LightningEnvironment
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Sampler
 
@@ -241,6 +242,8 @@ def fit(
     options: dict[str, Any] = {
         "accelerator": accelerator(problem.training.accelerator),
         "devices": 1,
+        # Else a job of Slurm is taken for a part of a distributed training.
+        "plugins": LightningEnvironment(),
         "logger": False,
         "enable_checkpointing": False,
         "enable_progress_bar": False,
@@ -254,6 +257,8 @@ def fit(
         warnings.filterwarnings("ignore", ".*LeafSpec.*is deprecated.*")
         # The loader hands over two integers: workers would only cost.
         warnings.filterwarnings("ignore", ".*does not have many workers.*")
+        # A job of Slurm trains alone.
+        warnings.filterwarnings("ignore", ".*`srun` command is available.*")
         trainer = pl.Trainer(
             max_epochs=len(data.blocks), callbacks=list(callbacks), **(options | trainer_options)
         )
