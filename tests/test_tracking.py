@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from watched_network import watch
 
 from iksamples.answer.collect import collect
 from iksamples.columns import CERTIFICATES
@@ -532,12 +533,15 @@ def server(tmp_path: Path) -> Iterator[str]:
         port = probe.getsockname()[1]
     folder = tmp_path / "server"
     folder.mkdir()
+    watched = watch(tmp_path)
     call = [str(Path(sys.executable).with_name("mlflow")), "server", "--workers", "1"]
     call += ["--host", "127.0.0.1", "--port", str(port)]
     with (folder / "log").open("w") as output:
-        # Without workers for jobs, which take long to start and to stop.
-        calm = {**os.environ, "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
-        process = subprocess.Popen(call, cwd=folder, env=calm, stdout=output, stderr=output)
+        # As README.md and the report say it is started; without workers for jobs, which take long
+        # to start and to stop.
+        calm = {"MLFLOW_DISABLE_TELEMETRY": "true", "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+        environment = watched.environment | calm
+        process = subprocess.Popen(call, cwd=folder, env=environment, stdout=output, stderr=output)
         try:
             uri = f"http://127.0.0.1:{port}"
             for _ in range(240):
@@ -551,6 +555,7 @@ def server(tmp_path: Path) -> Iterator[str]:
         finally:
             process.terminate()
             process.wait(30)
+    assert watched.reached() == set()
 
 
 def test_a_server_is_opened_on_the_errors_and_is_told_no_secret(

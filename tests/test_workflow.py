@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from watched_network import watch
 
 from iksamples.answer.replication import read_replications
 from iksamples.columns import TABLE, certificate_columns
@@ -28,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 TINY = "tests/studies/tiny.yaml"
 
 
-def snakemake(folder, *arguments, check=True, **environment):
+def snakemake(folder, *arguments, check=True, base=os.environ, **environment):
     """Runs Snakemake in a folder, as typed there."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name("snakemake")), *arguments],
@@ -36,7 +37,7 @@ def snakemake(folder, *arguments, check=True, **environment):
         capture_output=True,
         text=True,
         # No environment is active: the command line is found by the Python that runs Snakemake.
-        env={**os.environ, "PATH": "/usr/bin:/bin"} | environment,
+        env={**base, "PATH": "/usr/bin:/bin"} | environment,
     )
     if check and done.returncode:
         raise AssertionError(done.stdout + done.stderr)
@@ -134,9 +135,11 @@ def test_another_folder_uses_it_as_a_module(tmp_path):
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    """A finished small study."""
+    """A finished small study, whose run reached for nothing beyond this machine."""
     folder = project_copy(tmp_path_factory.mktemp("project"))
-    done = snakemake(folder, "--cores", "2", "--configfile", TINY)
+    watched = watch(tmp_path_factory.mktemp("watch"))
+    done = snakemake(folder, "--cores", "2", "--configfile", TINY, base=watched.environment)
+    assert watched.reached() == set()
     (folder / "last-lines.txt").write_text(done.stdout + done.stderr)
     return folder
 

@@ -193,7 +193,8 @@ def where_to_look():
         where = (
             f"{uri}/{found['page']}"
             if uri.startswith("http")
-            else f"mlflow ui    and then http://127.0.0.1:5000/{found['page']}"
+            else "MLFLOW_DISABLE_TELEMETRY=true mlflow ui\n              and then "
+            f"http://127.0.0.1:5000/{found['page']}"
         )
         lines.append(f"  Runs        {where}")
     elif found:

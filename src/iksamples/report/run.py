@@ -83,7 +83,7 @@ def paths(data: ReportData) -> dict[str, Any]:
             for name in names
         ],
         "server": uri if uri.startswith("http") else None,
-        "mlflow": f"mlflow ui{local}",
+        "mlflow": f"MLFLOW_DISABLE_TELEMETRY=true mlflow ui{local}",
     }
 
 
