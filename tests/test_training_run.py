@@ -68,8 +68,9 @@ def test_a_job_of_slurm_trains_as_any_other(tmp_path, monkeypatch):
     (tmp_path / "srun").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     train_all(study, sets, [tmp_path / "beside"])
-    for name, value in {"JOB_ID": 7, "JOB_NAME": "j", "NTASKS": 4, "NNODES": 2, "PROCID": 3}.items():
-        monkeypatch.setenv(f"SLURM_{name}", str(value))
+    job = {"JOB_ID": "7", "JOB_NAME": "j", "NTASKS": "4", "NNODES": "2", "PROCID": "3"}
+    for name, value in job.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
     train_all(study, sets, [tmp_path / "there"])
     here = contents(tmp_path / "here")
     assert contents(tmp_path / "beside") == here == contents(tmp_path / "there")
