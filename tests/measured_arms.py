@@ -47,3 +47,25 @@ def sockets(folder, places=4, postures=12, scatter_mm=0.05, seed=0):
             (folder / f"place{place}").mkdir(parents=True, exist_ok=True)
             np.savetxt(folder / f"place{place}" / f"hole_{socket}.csv", found, delimiter=",")
     return drawing, arm
+
+
+def table_of(urdf, n, noise_mm=0.0, seed=0):
+    """Records of an arm that is not its drawing, in m and deg, with the tool's quaternion.
+
+    Returns them, and how far the drawing is off where each was recorded [mm].
+    """
+    from scipy.spatial.transform import Rotation
+
+    from iksamples.arm.load import load_arm
+
+    drawing, rng = load_arm(urdf), np.random.default_rng(seed)
+    rows = drawing.n_joints + 1, 6
+    arm = deviated(drawing, rng.normal(size=rows) * np.repeat([1, 0.01], 3))
+    home = np.resize([0, -1.2, 1.5, -1.9, -1.57, 0], drawing.n_joints)
+    q = home + rng.uniform(-0.3, 0.3, (n, drawing.n_joints))
+    position, rotation = arm.pose(q)
+    measured = position + noise_mm * rng.normal(size=(n, 3))
+    table = pd.DataFrame(measured / 1000, columns=["x_m", "y_m", "z_m"])
+    table[[f"{name}_deg" for name in drawing.joint_names]] = np.degrees(q)
+    table[["qx", "qy", "qz", "qw"]] = Rotation.from_matrix(rotation).as_quat()
+    return table, np.linalg.norm(drawing.forward_mm(q) - measured, axis=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from measured_arms import recorded, sockets
+from measured_arms import sockets
 from typer.testing import CliRunner
 
 from iksamples.cli import app
@@ -109,26 +109,9 @@ def test_a_recording_that_is_not_there_says_where_to_get_it(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["sockets", "table"])
-def test_steps_of_a_recorded_study_end_in_a_report(tmp_path, kind):
-    if kind == "sockets":
-        sockets(tmp_path / "in")
-        study = study_of(tmp_path / "in")
-    else:
-        recorded()[2].to_csv(tmp_path / "in.csv", index=False)
-        study = parse_study(
-            {
-                "name": "s",
-                "robot": {"urdf": "config/robots/rrr70.urdf"},
-                "samples": {
-                    "sizes": [8, 16, 32],
-                    "recorded": {"path": str(tmp_path / "in.csv"), "subsets": 15},
-                },
-                "methods": {"calibrated": {"kind": "calibrated"}},
-                "training": {"epochs": 20},
-                "tolerance": {"error_mm": 1, "of": "mean"},
-            }
-        )
+def test_steps_of_a_recorded_study_end_in_a_report(tmp_path):
+    sockets(tmp_path / "in")
+    study = study_of(tmp_path / "in")
     file, results = tmp_path / "study.json", str(tmp_path / "results" / "s")
     file.write_text(study.model_dump_json())
     reports = tmp_path / "reports" / "s"

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from watched_network import watch
+from workflow_project import ROOT, TINY, project_copy, snakemake
 
 from iksamples.answer.replication import read_replications
 from iksamples.columns import TABLE, certificate_columns
@@ -24,33 +25,6 @@ from iksamples.task import study_task
 
 
 pytestmark = pytest.mark.slow
-
-ROOT = Path(__file__).parents[1]
-TINY = "tests/studies/tiny.yaml"
-
-
-def snakemake(folder, *arguments, check=True, base=os.environ, **environment):
-    """Runs Snakemake in a folder, as typed there."""
-    done = subprocess.run(
-        [str(Path(sys.executable).with_name("snakemake")), *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        # No environment is active: the command line is found by the Python that runs Snakemake.
-        env={**base, "PATH": "/usr/bin:/bin"} | environment,
-    )
-    if check and done.returncode:
-        raise AssertionError(done.stdout + done.stderr)
-    return done
-
-
-def project_copy(folder):
-    """What a run needs of the project, in a folder of its own."""
-    for name in ("Snakefile", "workflow", "profiles", "config", TINY):
-        source, target = ROOT / name, folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
-    return folder
 
 
 def planned(folder, *arguments):

@@ -46,9 +46,14 @@ _ANSWERED = {
 }
 _MORE_SEEDS = (
     "More {trials} succeeded than required, but {n} cannot make sure of it: if the share "
-    "stays as it is, {seeds} would (training.seeds). Take fresh seeds: adding some until it holds "
-    "would spoil the confidence."
+    "stays as it is, {seeds} would ({setting}). Take fresh ones ({fresh}): adding some until it "
+    "holds would spoil the confidence."
 )
+_SEEDS = {
+    "setting": ("training.seeds", "samples.recorded.subsets"),
+    "fresh": ("training.first_seed", "samples.seed"),
+}
+"""Settings of a training or an arm, and of an order of records."""
 _EXTRAPOLATED = (
     "Extrapolated, not tried: {n}. The laws fitted to its learning curve come down to {limit} "
     "between {low} and {high}, if it goes on as it has."
@@ -140,7 +145,8 @@ def told(study: Study, one: VariantAnswer, confidence: Confidence) -> list[str]:
         lines.append(f"The most samples tried fail: {_failing(study, size, confidence)}.")
     if one.seeds_needed:
         n, seeds = whole(size.n_seeds), whole(one.seeds_needed)
-        lines.append(_MORE_SEEDS.format(trials=f"{trial(study)}s", n=n, seeds=seeds))
+        named = {key: both[study.samples.recorded is not None] for key, both in _SEEDS.items()}
+        lines.append(_MORE_SEEDS.format(trials=f"{trial(study)}s", n=n, seeds=seeds, **named))
     elif beyond and beyond.needed:
         lines.append(
             _EXTRAPOLATED.format(

@@ -48,6 +48,7 @@ def size(
         ),
     ] = False,
     subsets: Annotated[int, typer.Option(help="Random orders of the records.")] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of these orders.")] = 0,
     of: Annotated[
         str, typer.Option(help="Which error of the records held out: worst, p99, p95 or mean.")
     ] = "worst",
@@ -78,7 +79,7 @@ def size(
         "success_share": success_share,
         "confidence": confidence,
     }
-    where = "--tolerance, --success-share, --confidence, --of, --joint-unit or --subsets"
+    where = "--tolerance, --success-share, --confidence, --of, --joint-unit, --subsets or --seed"
     if curve is not None:
         study = parse_study({"name": "recorded", "tolerance": asked}, where)
         _size_curve(study, curve, given)
@@ -92,13 +93,14 @@ def size(
         "name": "recorded",
         "tolerance": asked | {"of": of},
         "samples": {
+            "seed": seed,
             "recorded": {
                 "path": str(recording),
                 "columns": columns_of(column),
                 "subsets": subsets,
                 "joint_unit": joint_unit,
                 "tool_from_drawing": tool_from_drawing,
-            }
+            },
         },
         **arm_settings(robot, tip_link),
     }

@@ -67,7 +67,10 @@ def orders(study: Study, n: int) -> Orders:
             f"samples.sizes asks for {study.sizes[-1]}. Record more, or leave that size out."
         )
     drawn = np.stack(
-        [np.random.default_rng([seed, _STREAM]).permutation(n) for seed in range(settings.subsets)]
+        [
+            np.random.default_rng([seed, _STREAM, study.samples.seed]).permutation(n)
+            for seed in range(settings.subsets)
+        ]
     )
     return Orders(drawn[:, held:], drawn[:, :held])
 
@@ -148,7 +151,7 @@ def judged(
                 parts = _fitted(study, method.kind, recording, whole, some, task)
             frames += [part.assign(method=name) for part in parts]
         except IksamplesError as error:  # too few, too many, in a plane: this method's own matter
-            left_out[name] = str(error)
+            left_out[name] = str(error).removeprefix(f"{method.kind}: ")
     if not frames:
         raise IksamplesError(f"{recording.table.path}: no method can use these records.")
     return pd.concat(frames, ignore_index=True)[list(COLUMNS)], left_out

@@ -153,7 +153,7 @@ def _order(
     study: Study, settings: Recorded, drawing: SerialChain, places: Places, seed: int
 ) -> "Iterator[pd.DataFrame]":
     """One order: the sizes of the study, judged."""
-    rng = np.random.default_rng([seed, _STREAM])
+    rng = np.random.default_rng([seed, _STREAM, study.samples.seed])
     names = [str(name) for name in rng.permutation(list(places))]
     n_held = n_held_places(settings, places)
     held, learned = names[:n_held], names[n_held:]

@@ -87,7 +87,8 @@ def verdict(one: VariantAnswer, runs: str) -> str:
     if one.status == "more-seeds":
         return (
             f"at {largest} samples more {runs} are within than have to be, but too few to be sure; "
-            f"{several(one.seeds_needed or 0, runs.removesuffix('s'))} would tell, all of them new."
+            f"{several(one.seeds_needed or 0, runs.removesuffix('s'))} would tell, all of them new"
+            f"{' (--subsets, and another --seed)' if runs == 'orders' else ''}."
         )
     return f"more than {largest} samples."
 

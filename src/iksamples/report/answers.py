@@ -133,7 +133,7 @@ def _needed(data: ReportData, one: Any) -> Markup | str:
         return Markup(f"**{one.n_samples}**")
     if one.status == "extrapolated":
         return f"about {one.n_samples}, extrapolated"
-    few = ", too few trainings" if one.status == "more-seeds" else ""
+    few = f", too few {data.trial}s" if one.status == "more-seeds" else ""
     return f"more than {one.shown.n_samples}{few}"
 
 

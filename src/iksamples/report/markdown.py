@@ -143,7 +143,8 @@ def tidy(markdown: str) -> str:
     for line in markdown.splitlines():
         verbatim ^= line.startswith("```")
         plain = bool(line) and not verbatim and not line.startswith(_BLOCKS)
-        if plain and lines and lines[-1] and not lines[-1].startswith(_BLOCKS):
+        item = line.startswith("- ")
+        if plain and not item and lines and lines[-1] and not lines[-1].startswith(_BLOCKS):
             lines[-1] += f" {line.strip()}"
         elif line or (lines and lines[-1]):
             lines.append(line.rstrip())

@@ -156,7 +156,10 @@ class Samples(Section):
     )
 
     seed: int = Field(
-        0, ge=0, lt=2**31, description="Seed of the random designs and of the fresh points."
+        0,
+        ge=0,
+        lt=2**31,
+        description="Seed of random designs, of fresh points, and of the orders of records.",
     )
     recorded: Recorded | None = Field(
         None, description="Samples that were recorded, in place of computed ones; null: none."
