@@ -1,6 +1,6 @@
 """Which poses to record and when to stop: against closed forms, all choices, and many arms."""
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from iksamples.arm.inverse import followed
 from iksamples.arm.load import load_arm
 from iksamples.arm.real import deviated
-from iksamples.calibration.design import optimal, postures, tour
+from iksamples.calibration.design import in_points, optimal, postures, tour
 from iksamples.calibration.fit import fit_arm
 from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.rounds import next_round
@@ -85,6 +85,31 @@ def test_chosen_poses_are_about_the_best_of_all(task, study, rng):
         assert of(poses) <= every[10]
     with pytest.raises(IksamplesError, match="15 poses out of 14"):
         optimal(before, informs, 15)
+
+
+def test_chosen_postures_of_points_are_about_the_best_of_all(chain, rng):
+    before = Fitted.unmeasured(chain, PRIOR, 0.1)
+    informs, counts = [rng.normal(size=(6, 3, 24)) * 3 / SD.ravel() for _ in range(2)], [3, 2]
+
+    def information(chosen):
+        # The points' places beside the deviations, then taken out: Schur's complement.
+        rows = np.vstack(
+            [
+                np.hstack([own[i], np.kron(np.arange(2) == point, -np.eye(3))])
+                for point, (own, some) in enumerate(zip(informs, chosen, strict=True))
+                for i in some
+            ]
+        )
+        whole = rows.T @ rows + np.diag(np.append(1 / SD.ravel() ** 2, np.zeros(6)))
+        a, b, c = whole[:24, :24], whole[:24, 24:], whole[24:, 24:]
+        return np.linalg.slogdet(a - b @ np.linalg.solve(c, b.T))[1]
+
+    ways = [list(combinations(range(6), k)) for k in counts]
+    every = np.sort([information(chosen) for chosen in product(*ways)])
+    chosen = in_points(before, informs, counts)
+    assert [len(set(some)) for some in chosen] == counts
+    # Among the best hundredth of all 300 choices, and no exchange makes it better.
+    assert information(chosen) >= every[-3]
 
 
 def test_postures_are_inside_the_limits_and_have_the_tool_there():

@@ -21,7 +21,11 @@ def study_of(folder, **recording):
                 "sizes": [8, 24],
                 "recorded": {"path": str(folder), "kind": "sockets", "subsets": 4, **recording},
             },
-            "methods": {name: {"kind": name} for name in ("nominal", "calibrated")},
+            "methods": {
+                "nominal": {"kind": "nominal"},
+                "calibrated": {"kind": "calibrated"},
+                "chosen": {"kind": "calibrated", "design": "optimal"},
+            },
             "tolerance": {"error_mm": 1, "of": "mean"},
         }
     )
@@ -76,8 +80,19 @@ def test_the_arm_itself_is_as_consistent_as_its_noise_and_the_fit_comes_near(fou
 def test_the_sizes_come_out_as_records(found):
     *_, learned = found
     runs = learned.runs
-    assert list(runs["n_samples"]) == [0, 8, 24, 8, 24, 8, 24, 8, 24]
+    assert list(runs["n_samples"]) == [0] + 8 * [8, 24]
+    assert list(runs["label"])[-2:] == ["optimal8", "optimal24"]
     assert set(learned.left_out) == {"network"}
+
+
+def test_few_postures_that_tell_most_leave_less_open(found):
+    *_, learned = found
+    means = learned.judged.groupby(["method", "n_samples"])["error_mm"].mean()
+    assert means["chosen", 8] < 0.9 * means["calibrated", 8]
+    # Judged by the same places.
+    for _, own in learned.judged.groupby("seed"):
+        judges = own[own["n_samples"] > 0].groupby("method")["record"].unique()
+        assert set(judges["chosen"]) == set(judges["calibrated"])
 
 
 REFUSED = {
@@ -129,6 +144,16 @@ def test_steps_of_a_recorded_study_end_in_a_report(tmp_path):
     assert (reports / "figures" / "learning-curves.png").exists()
     placed = CliRunner().invoke(app, ["samples", str(file), "--output", str(tmp_path / "x")])
     assert isinstance(placed.exception, IksamplesError)
+
+
+@pytest.mark.parametrize("kind", ["calibrated", "network"])
+def test_who_can_choose_among_records(kind):
+    chosen = {"kind": kind, "design": "optimal" if kind == "network" else "sobol"}
+    recorded = {"path": "x", "kind": "sockets"}
+    for samples in (recorded, {"path": "x.csv"}):
+        settings = {"name": "s", "samples": {"recorded": samples}, "methods": {"own": chosen}}
+        with pytest.raises(IksamplesError, match=r"methods\.own\.design.*leave it out"):
+            parse_study(settings)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ of what the deviations may be, G-optimal ones the least of the largest variance 
 position over the postures that count.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +43,7 @@ def in_order(fitted: Fitted, informs: Floats, k: int) -> list[int]:
     rows = informs @ fitted.root
     chosen: list[int] = []
     while len(chosen) < k:
-        scores = _open(rows, chosen)
+        scores = _open(rows, _covariance(rows[chosen]))
         scores[chosen] = np.inf
         chosen.append(int(np.argmin(scores)))
     return chosen
@@ -66,22 +68,61 @@ def optimal(fitted: Fitted, informs: Floats, k: int, judged: Floats | None = Non
     some = None if judged is None else judged @ fitted.root
     for i in range(k):
         others = chosen[:i] + chosen[i + 1 :]
-        scores = _open(rows, others) if some is None else _variances(rows, some, others)
+        covariance = _covariance(rows[others])
+        scores = _open(rows, covariance) if some is None else _variances(rows, some, covariance)
         scores[others] = np.inf
         chosen[i] = int(np.argmin(scores))
     return chosen
 
 
-def _open(rows: Floats, others: list[int]) -> Floats:
-    """Minus the information that each candidate adds to some others [nats], twice over."""
-    own = rows @ _covariance(rows[others]) @ np.swapaxes(rows, 1, 2)
+def in_points(
+    fitted: Fitted, informs: Sequence[Floats], counts: Sequence[int]
+) -> list[NDArray[np.intp]]:
+    """Postures with the tool held in points that nobody measured: best for D all together.
+
+    Of a point's postures only their differences tell anything. So each is weighed by how far it
+    is from the mean of that point's others, and exchanged for another of the same point as long
+    as one tells more. A distance of points that is known is left out: it tells little beside them.
+
+    Args:
+        fitted: As ``in_order``.
+        informs: For each point, as ``in_order`` has it: the postures that can be recorded there.
+        counts: How many of each are to be recorded, at least two.
+
+    Returns:
+        Their indices, point by point.
+    """
+    rows = [some @ fitted.root for some in informs]
+    chosen = [np.arange(k) for k in counts]
+    centred = [own[some] - own[some].mean(axis=0) for own, some in zip(rows, chosen, strict=True)]
+    better = True
+    while better:
+        better = False
+        for at, (own, some) in enumerate(zip(rows, chosen, strict=True)):
+            for i in range(len(some)):
+                others = own[np.delete(some, i)]
+                mean = others.mean(axis=0)
+                centred[at] = others - mean
+                # With one more the squares about the mean grow by this share of its own.
+                new = np.sqrt(len(others) / len(some)) * (own - mean)
+                scores = _open(new, _covariance(np.concatenate(centred)))
+                scores[np.delete(some, i)] = np.inf
+                best = int(np.argmin(scores))
+                if scores[best] < scores[some[i]] - 1e-9:
+                    some[i], better = best, True
+            centred[at] = own[some] - own[some].mean(axis=0)
+    return chosen
+
+
+def _open(rows: Floats, covariance: Floats) -> Floats:
+    """Minus the information that each candidate adds to what is known [nats], twice over."""
+    own = rows @ covariance @ np.swapaxes(rows, 1, 2)
     return np.asarray(-np.linalg.slogdet(np.eye(rows.shape[1]) + own)[1])
 
 
-def _variances(rows: Floats, judged: Floats, others: list[int]) -> Floats:
-    """The largest variance of the tool's position once each candidate and some others are there."""
+def _variances(rows: Floats, judged: Floats, covariance: Floats) -> Floats:
+    """The largest variance of the tool's position once each candidate is there as well."""
     n, r, p = rows.shape
-    covariance = _covariance(rows[others])
     own = np.eye(r) + rows @ covariance @ np.swapaxes(rows, 1, 2)
     whitened = np.linalg.solve(np.linalg.cholesky(own), rows)
     before = judged @ covariance

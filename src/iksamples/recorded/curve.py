@@ -29,7 +29,7 @@ def runs_table(records: Iterable[dict[str, Any]]) -> "pd.DataFrame":
     plain = {"design": RECORDED, "diverged": False, "region": WORKSPACE, "region_share": 1.0}
     table = pd.DataFrame([plain | {"verified": False} | one for one in records])
     table = table.reindex(columns=list(RUNS))
-    table["label"] = RECORDED + table["n_samples"].astype(str)
+    table["label"] = table["design"] + table["n_samples"].astype(str)
     table["n_trained"] = table["n_trained"].fillna(table["n_samples"]).astype("int64")
     return table
 

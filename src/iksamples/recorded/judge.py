@@ -24,7 +24,7 @@ from iksamples.task import Space, Task
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMNS = ("method", "n_samples", "seed", "record", "error_mm", "angle_deg", "joint_deg")
+COLUMNS = ("method", "design", "n_samples", "seed", "record", "error_mm", "angle_deg", "joint_deg")
 """Columns of what is judged: ``judged`` says what they hold."""
 _STREAM = 50
 """Stream of an order's generator, beside its number."""
@@ -149,7 +149,7 @@ def judged(
                 parts = _models(study, method.kind, recording, whole, some, task)
             else:
                 parts = _fitted(study, method.kind, recording, whole, some, task)
-            frames += [part.assign(method=name) for part in parts]
+            frames += [part.assign(method=name, design=RECORDED) for part in parts]
         except IksamplesError as error:  # too few, too many, in a plane: this method's own matter
             left_out[name] = str(error).removeprefix(f"{method.kind}: ")
     if not frames:

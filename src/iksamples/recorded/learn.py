@@ -215,14 +215,14 @@ def recorded_task(study: Study, recording: Recording) -> Task:
 def runs_of(rows: "pd.DataFrame") -> list[dict[str, Any]]:
     """What was judged as records for ``curve.runs_table``: a row per method, size and order."""
     found = []
-    for key, own in rows.groupby(["method", "n_samples", "seed"], sort=False):
-        method, n, seed = cast(tuple[str, int, int], key)
+    for key, own in rows.groupby(["method", "design", "n_samples", "seed"], sort=False):
+        method, design, n, seed = cast(tuple[str, str, int, int], key)
         error, angle = own["error_mm"].to_numpy(float), own["angle_deg"].to_numpy(float)
-        one = {"method": method, "n_samples": int(n), "seed": int(seed), "n_points": len(own)}
+        one = {"method": method, "design": design, "n_samples": int(n), "seed": int(seed)}
         one |= dict(zip(_NAMES["error"], _statistics(error), strict=True))
         if np.isfinite(angle).any():
             one |= dict(zip(_NAMES["angle"], _statistics(angle), strict=True))
-        one |= {"diverged": not np.isfinite(error).all(), "region": WORKSPACE}
+        one |= {"n_points": len(own), "diverged": not np.isfinite(error).all(), "region": WORKSPACE}
         found.append(one)
     return found
 

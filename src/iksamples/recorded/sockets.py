@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
+from iksamples.calibration.design import in_points
 from iksamples.calibration.fit import fit_sockets
-from iksamples.calibration.known import Prior
+from iksamples.calibration.known import Fitted, Prior
+from iksamples.calibration.worst import Measured
 from iksamples.errors import IksamplesError
 from iksamples.recorded.doubts import MOST_RAD
-from iksamples.study import Recorded, Study
+from iksamples.study import Design, Recorded, Study
 
 
 if TYPE_CHECKING:
@@ -105,7 +107,8 @@ def judged_sockets(
     """The drawing, and what is fitted to postures, judged in places that had no part in it.
 
     In an order of the places the postures are learned from place by place, some in each before the
-    tool is moved on; the first places of the order judge.
+    tool is moved on; the first places of the order judge. A method with the design *optimal* learns
+    from as many postures of each socket, but from those that tell most.
 
     Args:
         study: The study, with ``samples.recorded``.
@@ -132,7 +135,7 @@ def judged_sockets(
             for seed in range(settings.subsets):
                 frames += [
                     one.assign(method=name, seed=seed)
-                    for one in _order(study, settings, drawing, places, seed)
+                    for one in _order(study, settings, drawing, places, seed, method.design)
                 ]
         else:
             left_out[name] = "it learns from positions, and nobody measured any."
@@ -141,7 +144,9 @@ def judged_sockets(
             f"{settings.path}: of postures in sockets only the kinds nominal and calibrated can "
             "learn; name one under methods."
         )
-    return pd.concat(frames, ignore_index=True), left_out
+    found = pd.concat(frames, ignore_index=True)
+    design = {name: study.designs(name)[0] for name in study.all_methods}
+    return found.assign(design=found["method"].map(design)), left_out
 
 
 def n_held_places(settings: Recorded, places: Places) -> int:
@@ -150,7 +155,12 @@ def n_held_places(settings: Recorded, places: Places) -> int:
 
 
 def _order(
-    study: Study, settings: Recorded, drawing: SerialChain, places: Places, seed: int
+    study: Study,
+    settings: Recorded,
+    drawing: SerialChain,
+    places: Places,
+    seed: int,
+    design: Design | None,
 ) -> "Iterator[pd.DataFrame]":
     """One order: the sizes of the study, judged."""
     rng = np.random.default_rng([seed, _STREAM, study.samples.seed])
@@ -170,6 +180,8 @@ def _order(
         for place, socket, row in postures[:n]:
             points.setdefault((place, socket), []).append(row)
         points = {key: rows for key, rows in points.items() if len(rows) >= FEWEST}
+        if design == "optimal":
+            points = _telling_most(drawing, prior, assumed.noise_mm, places, points)
         keys = list(points)
         pairs = [
             (keys.index((place, 0)), keys.index((place, 1)), settings.socket_distance_mm)
@@ -179,6 +191,22 @@ def _order(
         groups = [places[place][socket][rows] for (place, socket), rows in points.items()]
         fitted = fit_sockets(drawing, groups, pairs, prior=prior, noise_mm=assumed.noise_mm)
         yield _judged(settings, fitted.chain, places, held).assign(n_samples=n)
+
+
+def _telling_most(
+    drawing: SerialChain,
+    prior: Prior,
+    noise_mm: float,
+    places: Places,
+    points: dict[tuple[str, int], list[int]],
+) -> dict[tuple[str, int], list[int]]:
+    """As many postures of the same points, out of all that were recorded there."""
+    before = Fitted.unmeasured(drawing, prior, noise_mm)
+    informs = [
+        Measured(noise_mm).informs(before, places[place][socket]) for place, socket in points
+    ]
+    chosen = in_points(before, informs, [len(rows) for rows in points.values()])
+    return {key: some.tolist() for key, some in zip(points, chosen, strict=True)}
 
 
 def _sequence(

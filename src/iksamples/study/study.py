@@ -111,10 +111,13 @@ class Study(Section):
     @model_validator(mode="after")
     def _names_exist(self) -> "Study":
         for name, method in self.methods.items():
-            if method.design and (method.kind == "network" or self.samples.recorded):
+            records, own = self.samples.recorded, (method.kind, method.design)
+            chosen = records and records.kind == "sockets" and own == ("calibrated", "optimal")
+            if method.design and not chosen and (records or method.kind == "network"):
                 raise ValueError(
                     f"'methods.{name}.design' is for methods that are not trained, on samples that "
-                    "are computed; leave it out"
+                    "are computed (or postures in sockets, for kind: calibrated, optimal); leave "
+                    "it out"
                 )
         if NETWORK in self.methods:
             raise ValueError(

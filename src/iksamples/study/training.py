@@ -180,7 +180,8 @@ class Method(Section):
     design: Design | None = Field(
         None,
         description="How the samples of a method that is not trained are placed, where that is "
-        "another way than `samples.designs`; null: as they say.",
+        "another way than `samples.designs`; null: as they say. Of recorded postures in "
+        "sockets a calibrated drawing can choose as many of each socket that tell most (optimal).",
     )
     network: Network = Field(
         Network(), description="What differs from the study's `network` (kind: network)."
