@@ -215,14 +215,52 @@ def test_whether_a_file_shows_bodies(tmp_path, monkeypatch):
     for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "there.stl").touch()
-    mesh = '<link name="fore"><visual><geometry><mesh filename="%s"/></geometry></visual></link>'
-    for name, shown in (("there.stl", True), ("gone.stl", False), ("package://a/b.stl", False)):
-        text = ORDINARY.replace('<link name="fore"/>', mesh % name)
+    mesh = '<link name="fore"><visual><geometry><mesh %s/></geometry></visual></link>'
+    for given, shown in (
+        ('filename="there.stl"', True),
+        ('filename="gone.stl"', False),
+        ('filename="package://a/b.stl"', False),
+    ):
+        text = ORDINARY.replace('<link name="fore"/>', mesh % given)
         (tmp_path / "arm.urdf").write_text(text)
         assert shows_bodies(tmp_path / "arm.urdf") == shown
     (tmp_path / "arm.urdf").write_text(ORDINARY)
     assert not shows_bodies(tmp_path / "arm.urdf")
     assert shows_bodies(Path("config/robots/rrr70.urdf"))
+
+
+@pytest.mark.parametrize("in_ros", [False, True])
+def test_an_arm_of_others_names_no_file_but_what_it_came_with(tmp_path, monkeypatch, in_ros):
+    """Rerun would open it, or fetch it, and copy it into a recording that is passed on."""
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path) if in_ros else "")
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    private, folder = tmp_path / "private.stl", tmp_path / "arm"
+    private.touch()
+    folder.mkdir()
+    (folder / "link.stl").symlink_to(private)
+    (folder / "there.stl").touch()
+    body = "<visual><geometry><mesh %s/></geometry></visual>"
+    own = body % 'filename="there.stl"'
+    for given in (
+        f'filename="{private}"',
+        f'filename="file://{private}"',
+        f"filename='&#47;{str(private)[1:]}'",
+        'filename="../private.stl"',
+        'filename="there.stl/../../private.stl"',
+        'filename="package://arm/../private.stl"',
+        'filename="link.stl"',
+        'filename="http://127.0.0.1:9/a.stl"',
+        f'scale=">" filename="{private}"',
+        'filename="http://127.0.0.1:9/a.stl" scale=\'"\'',
+        'filename="."',
+        'filename=""',
+        f'filename="{"a" * 5000}"',
+        f'file="{private}"',
+    ):
+        link = f'<link name="fore">{own}{body % given}</link>'
+        (folder / "arm.urdf").write_text(ORDINARY.replace('<link name="fore"/>', link))
+        load_arm(folder / "arm.urdf")
+        assert not shows_bodies(folder / "arm.urdf"), given
 
 
 @given(st.tuples(*[st.floats(-3.2, 3.2)] * 3))

@@ -1,7 +1,6 @@
 """An arm as a URDF with simple bodies, for where a picture is wanted and its file has none."""
 
 import os
-import re
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -9,25 +8,32 @@ import numpy as np
 
 from iksamples.arm.chain import MM_PER_M, Floats, SerialChain, angles_of
 from iksamples.arm.load import TABLES
+from iksamples.arm.urdf import bodies
 
 
 def shows_bodies(path: Path) -> bool:
-    """Whether an arm's file shows its links: a URDF with bodies, every mesh of which is found.
+    """Whether an arm's file shows its links: a URDF with bodies, every mesh of which may be opened.
 
     Args:
-        path: The file. A mesh of a ROS package counts as found where ROS says where packages are.
+        path: The file. Whatever draws it opens its meshes and copies them, so that an arm of
+            somebody else's may only name what it came with: files in its own folder or below, or of
+            a ROS package where ROS says where packages are.
     """
     if path.suffix.lower() in TABLES:
         return False
-    content = path.read_bytes()
-    in_ros = bool(os.environ.get("ROS_PACKAGE_PATH") or os.environ.get("AMENT_PREFIX_PATH"))
-    return b"<visual" in content and all(
-        in_ros if mesh.startswith("package://") else (path.parent / mesh).exists()
-        for mesh in (
-            name.decode(errors="replace").removeprefix("file://")
-            for name in re.findall(rb"<mesh\b[^>]*?filename\s*=\s*[\"']([^\"']*)", content)
-        )
-    )
+    visuals, meshes = bodies(path.read_bytes())
+    return visuals > 0 and all(_came_with(path.resolve().parent, mesh) for mesh in meshes)
+
+
+def _came_with(folder: Path, mesh: str) -> bool:
+    if mesh.startswith("package://"):
+        in_ros = os.environ.get("ROS_PACKAGE_PATH") or os.environ.get("AMENT_PREFIX_PATH")
+        return bool(in_ros) and ".." not in mesh.split("/")
+    try:
+        file = (folder / mesh).resolve()
+        return file.is_relative_to(folder) and file.is_file() and "://" not in mesh
+    except (OSError, ValueError):  # too long for a name, a NUL
+        return False
 
 
 def drawn_urdf(chain: SerialChain) -> str:

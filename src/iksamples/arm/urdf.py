@@ -78,6 +78,18 @@ def urdf_joints(content: bytes, base_link: str | None, tip_link: str | None) -> 
     return [_joint(name, joints[name]) for name in names]
 
 
+def bodies(content: bytes) -> tuple[int, list[str]]:
+    """How many bodies a URDF's links show, and the mesh files that are named anywhere in it."""
+    visuals, meshes, waiting = 0, list[str](), [_parse(content)]
+    while waiting:
+        element = waiting.pop()
+        visuals += element.tag == "visual"
+        if element.tag == "mesh":
+            meshes.append(element.attributes.get("filename", ""))
+        waiting += element.children
+    return visuals, meshes
+
+
 def _parse(content: bytes) -> _Element:
     parser = expat.ParserCreate()
     top = _Element("", {})
