@@ -216,12 +216,12 @@ def test_whether_a_file_shows_bodies(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "there.stl").touch()
     mesh = '<link name="fore"><visual><geometry><mesh %s/></geometry></visual></link>'
-    for given, shown in (
+    for names, shown in (
         ('filename="there.stl"', True),
         ('filename="gone.stl"', False),
         ('filename="package://a/b.stl"', False),
     ):
-        text = ORDINARY.replace('<link name="fore"/>', mesh % given)
+        text = ORDINARY.replace('<link name="fore"/>', mesh % names)
         (tmp_path / "arm.urdf").write_text(text)
         assert shows_bodies(tmp_path / "arm.urdf") == shown
     (tmp_path / "arm.urdf").write_text(ORDINARY)
@@ -241,7 +241,7 @@ def test_an_arm_of_others_names_no_file_but_what_it_came_with(tmp_path, monkeypa
     (folder / "there.stl").touch()
     body = "<visual><geometry><mesh %s/></geometry></visual>"
     own = body % 'filename="there.stl"'
-    for given in (
+    for names in (
         f'filename="{private}"',
         f'filename="file://{private}"',
         f"filename='&#47;{str(private)[1:]}'",
@@ -257,10 +257,10 @@ def test_an_arm_of_others_names_no_file_but_what_it_came_with(tmp_path, monkeypa
         f'filename="{"a" * 5000}"',
         f'file="{private}"',
     ):
-        link = f'<link name="fore">{own}{body % given}</link>'
+        link = f'<link name="fore">{own}{body % names}</link>'
         (folder / "arm.urdf").write_text(ORDINARY.replace('<link name="fore"/>', link))
         load_arm(folder / "arm.urdf")
-        assert not shows_bodies(folder / "arm.urdf"), given
+        assert not shows_bodies(folder / "arm.urdf"), names
 
 
 @given(st.tuples(*[st.floats(-3.2, 3.2)] * 3))

@@ -1,12 +1,18 @@
 """The command line on files, as used by hand."""
 
+import io
+import re
 import subprocess
+from contextlib import redirect_stdout
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from iksamples.cli.common import say
 from iksamples.network import StackedMLP
 from iksamples.results import cells
 from iksamples.samples.record import grid_samples
@@ -152,3 +158,12 @@ def test_a_study_by_hand_without_snakemake(command, tmp_path):
     for cell in cells(read_study(study), results):
         assert isinstance(cell.network, StackedMLP)
     assert "samples" in run(command, "recommend", "--results", results).stdout
+
+
+@given(st.text(st.characters(blacklist_categories=["Cs"])))
+def test_names_of_others_cannot_steer_a_terminal(text: str) -> None:
+    with redirect_stdout(io.StringIO()) as printed:
+        say(f"a {text} b\nc")
+    lines = printed.getvalue()
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", lines)
+    assert lines.count("\n") == text.count("\n") + 2

@@ -284,7 +284,7 @@ def test_what_is_not_proved_is_not_written(results, tmp_path, monkeypatch):
 def test_prismatic_joints_many_inputs_and_odd_names(rng, tmp_path):
     """C for a pose network whose joints are named to break a comment."""
     x = Space(("x", "y", "yaw"), ("mm", "mm", "rad"), np.zeros(3), np.ones(3))
-    names = ("turn */ /*", "gleitet ä", "c", "d")
+    names = ("turn */ /*", "gleitet ä", "*\\\n/ int x;", "*\\\r/ ??/")
     q = Space(names, ("rad", "mm", "rad", "mm"), np.zeros(4), np.ones(4))
     stack = random_network(rng, (3, 5, 4, 4), "tanh", lower=np.zeros(3), upper=np.ones(3))
     network = plain_network(stack, x, q, "m", ["deg", "m"])

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pandas as pd
 import pytest
 from lxml import html
+from markdown_it import MarkdownIt
 from report_study import finished, step
 
 from iksamples.answer.answer import read_answer
@@ -20,11 +22,12 @@ from iksamples.answer.collect import read_runs
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import median_seed
 from iksamples.files import kept_file
+from iksamples.recording.record import record_path
 from iksamples.report import errors, markdown, run
 from iksamples.report.data import ReportData, read_report_data
 from iksamples.report.write import write_front_page, write_report
 from iksamples.results import cells
-from iksamples.study import Study
+from iksamples.study import Study, read_study
 from iksamples.task import study_chain
 
 
@@ -42,8 +45,12 @@ SMALL: dict[str, Any] = {
     "methods": {"other": {"network": {"activation": "tanh"}}, "table": {"kind": "multilinear"}},
     "tolerance": {"error_mm": 6, "success_share": 0.5},
 }
+NASTY = "<img src=x onerror=alert(1)> `b` *b* | [t](javascript://a/b) $x$ {{ 1 }} \\"
+"""In the names of an arm's links and joints, and but for the slashes of its file."""
+ARM_FILE = f"{NASTY.replace('/', '')}.urdf"
 BARE: dict[str, Any] = {
     "name": "bare",
+    "robot": {"urdf": ARM_FILE},
     "samples": {"points_per_axis": [3], "designs": ["grid", "uniform"]},
     "training": {"seeds": 1, "epochs": 20, "held_out": {"validation_share": 0, "at_least": 0}},
     "evaluation": {"cube_points": 64, "paths": {"loop": {"shape": "heart"}}},
@@ -74,6 +81,10 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         (folder / "config").symlink_to(ROOT / "config")
+        arm = (ROOT / "config/robots/rrr70.urdf").read_text(encoding="utf-8")
+        for name in re.findall('<(?:link|joint) name="([^"]*)"', arm):
+            arm = arm.replace(f'"{name}"', quoteattr(f"{name} {NASTY}"))
+        (folder / ARM_FILE).write_text(arm, encoding="utf-8")
         for settings, paper in ((SMALL, True), (BARE, False)):
             study = finished(settings, folder, paper)
             benchmarks = folder / "results" / study.name / "benchmarks"
@@ -237,6 +248,39 @@ def test_a_title_is_text_in_the_page_and_in_markdown(project: Path, page: html.H
     assert page.xpath("string(//h1)") == page.xpath("string(//title)") == SMALL["title"]
     assert not page.xpath("//img | //*[@onerror] | //a[contains(@href, 'invalid')]")
     assert "<img" not in (project / "reports/small/README.md").read_text()
+
+
+def test_names_of_an_arm_are_text(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(project)
+    page = html.parse(project / "reports/bare/index.html").getroot()
+    joints = study_chain(read_study(project / "results/bare/study.json")).joint_names
+    said = page.text_content()
+    assert all(NASTY in name and name in said for name in joints)
+    assert not page.xpath("//main//img | //*[@onerror] | //a[contains(@href, 'javascript')]")
+    readme = (project / "reports/bare/README.md").read_text()
+    # As any other reader of Markdown has it.
+    parser = MarkdownIt("commonmark", {"html": True}).enable("table")
+    other = html.fromstring(f"<div>{parser.render(readme)}</div>")
+    assert all(name in other.text_content() for name in joints)
+    assert not other.xpath("//*[@onerror] | //a[contains(@href, 'javascript')]")
+
+
+def test_names_of_joints_are_each_one_part_of_a_recordings_paths(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rerun.chunk import RrdReader
+
+    monkeypatch.chdir(project)
+    study = read_study(project / "results/bare/study.json")
+    record_path(study, "loop", cells(study, project / "results/bare"), tmp_path / "loop.rrd")
+    moved = {
+        chunk.entity_path
+        for chunk in RrdReader(tmp_path / "loop.rrd").stream().to_chunks()
+        if chunk.entity_path.startswith("/robot/joints/") and not chunk.is_static
+    }
+    plain = {re.sub(r"\\(.)", r"\1", path) for path in moved}
+    assert plain == {f"/robot/joints/{name}" for name in study_chain(study).joint_names}
+    assert all("/" not in path.removeprefix("/robot/joints/").replace("\\/", "") for path in moved)
 
 
 def test_the_readme_is_the_pages_text(project: Path, page: html.HtmlElement) -> None:
@@ -477,15 +521,58 @@ def test_the_page_fits_a_phone_and_a_dark_screen(opened: Any) -> None:
     assert opened.evaluate("document.documentElement.scrollWidth") == 390
 
 
-def test_a_script_of_others_would_not_run(browser: Any, project: Path, tmp_path: Path) -> None:
-    """The content security policy knows the page's own scripts by their digests."""
-    text = (project / "reports/small/index.html").read_text(encoding="utf-8")
-    (tmp_path / "page.html").write_text(text.replace("<main>", "<main><script>evil = 1</script>"))
+@pytest.mark.parametrize("name", ["small/index.html", "index.html", "kept-other.html"])
+def test_what_others_put_into_a_page_does_not_run(
+    browser: Any, project: Path, tmp_path: Path, name: str
+) -> None:
+    """Should escaping ever fail: the page's policy knows its own scripts by their digests."""
+    shutil.copytree(project / "reports/small", tmp_path / "reports/small")
+    shutil.copytree(
+        project / "reports/bare", tmp_path / "kept/other", ignore=lambda *_: ["index.html"]
+    )
+    write_front_page(tmp_path / "reports", tmp_path / "kept")
+    file = tmp_path / "reports" / name
+    (tmp_path / "evil.js").write_text("evil = 2")
+    (tmp_path / "evil.css").write_text("h1 { color: red }")
+    here = tmp_path.as_uri()
+    injected = f"""<script>evil = 1</script><script src="{here}/evil.js"></script>
+        <img src="x.png" onerror="evil = 3"><svg onload="evil = 4"></svg>
+        <img src="http://127.0.0.1:9/seen.png"><link rel="stylesheet" href="{here}/evil.css">
+        <iframe srcdoc="<script>parent.evil = 5</script>"></iframe>
+        <object data="{here}/evil.js"></object><base href="http://127.0.0.1:9/">
+        <a id="bait" href="javascript:evil=6">a</a>
+        <form id="form" action="http://127.0.0.1:9/"><input name="a"></form>
+        <style>@import "http://127.0.0.1:9/a.css"; h2 {{ background: url(http://127.0.0.1:9/b) }}
+        @font-face {{ font-family: f; src: url(http://127.0.0.1:9/f) }} p {{ font-family: f }}
+        </style>"""
     page = browser.new_page()
     complaints: list[str] = []
+    requests: list[str] = []
+    refused: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
-    page.goto((tmp_path / "page.html").as_uri())
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(file.as_uri())
+    assert complaints == []
+    shown = "[...document.images].every((one) => one.complete && one.naturalWidth > 0)"
+    assert page.evaluate(shown)
+    assert page.evaluate("document.querySelectorAll('img, .drawing svg').length") > 0
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("<main>", f"<main>{injected}", 1), encoding="utf-8")
+    page.on("requestfinished", lambda request: requests.append(request.url))
+    page.on("requestfailed", lambda request: refused.append(request.failure))
+    page.goto(file.as_uri())
+    page.locator("#bait").click()
+    page.evaluate("document.getElementById('form').submit()")
+    page.wait_for_timeout(200)
     assert page.evaluate("typeof evil") == "undefined"
-    assert len(complaints) == 1
+    assert page.url == file.as_uri()
+    loaded = [url for url in requests if not url.startswith(("data:", "about:"))]
+    assert (loaded, set(refused)) == ([file.as_uri()], {"csp"})
+    assert page.evaluate("document.baseURI") == file.as_uri()
+    assert len(complaints) >= 10
     page.close()
+
+
+def test_the_scene_of_a_page_is_data(project: Path) -> None:
+    text = (project / "reports/small/index.html").read_text(encoding="utf-8")
     assert json.loads(html.fromstring(text).xpath("string(//script[@id='scene'])"))["grids"]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lxml import html
 from markupsafe import Markup
 
+from iksamples.errors import one_line
 from iksamples.report import figures, markdown
 from iksamples.report.data import read_benchmarks
 from iksamples.report.figures import lines
@@ -47,6 +48,27 @@ def test_any_text_shows_as_itself(text: str) -> None:
         *("div", "h1", "p", "strong", "code"),
         *("table", "thead", "tbody", "tr", "th", "td"),
     }
+
+
+@given(st.text(st.characters(blacklist_categories=["Cs"])))
+def test_no_text_ends_its_line(text: str) -> None:
+    """Whatever ends lines for anybody: the text stays where its sentence, cell or fence is."""
+    shown = markdown.escaped(text)
+    table = markdown.table(
+        pd.DataFrame({"Name": [text], "Code": markdown.objects([markdown.code(text)])})
+    )
+    whole = markdown.tidy(
+        f"# a {shown} b\n\na {shown} b\n\n- a {shown} b\n\n{table}\n\n"
+        f"```bash\na {one_line(text)} b\n```\n"
+    )
+    page = html.fromstring(f"<div>{markdown.to_html(whole, {})}</div>")
+    assert [one.tag for one in page.iter()] == [
+        *("div", "h1", "p", "ul", "li", "div", "table", "thead", "tr", "th", "th"),
+        *("tbody", "tr", "td", "td", "code", "pre", "code"),
+    ]
+    plain = " ".join(f"a {one_line(text)} b".split())
+    for place in ("h1", "p", "ul/li", "pre"):
+        assert " ".join(page.xpath(f"string({place})").split()) == plain
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,11 @@ import pytest
 from measured_arms import sockets
 from typer.testing import CliRunner
 
+from iksamples.arm.load import load_arm
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
 from iksamples.recorded.learn import learning_curve
-from iksamples.recorded.sockets import FILES
+from iksamples.recorded.sockets import FILES, read_places
 from iksamples.study import parse_study
 
 
@@ -113,6 +114,21 @@ def test_faulty_files_are_named(tmp_path, fault):
         learning_curve(study_of(tmp_path))
     assert str(path) in str(caught.value)
     assert message in str(caught.value)
+
+
+def test_links_in_a_recording_are_followed_to_no_end_and_to_no_endless_file(tmp_path):
+    sockets(tmp_path, places=2)
+    before = read_places(study_of(tmp_path).samples.recorded, load_arm("config/robots/panda.urdf"))
+    (tmp_path / "place1" / "loop").symlink_to(tmp_path)
+    (tmp_path / "up").symlink_to("..")
+    (tmp_path / "round").symlink_to("round")
+    settings, drawing = study_of(tmp_path).samples.recorded, load_arm("config/robots/panda.urdf")
+    assert read_places(settings, drawing).keys() == before.keys()
+    path = tmp_path / "place1" / FILES[1]
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(IksamplesError, match="over 50 MB is no joint values"):
+        read_places(settings, drawing)
 
 
 def test_a_recording_that_is_not_there_says_where_to_get_it(tmp_path):

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, one_line
 
 
 Floats = NDArray[np.float64]
@@ -313,13 +313,18 @@ def assemble(joints: Iterable[Joint]) -> SerialChain:
     gets infinite ones.
 
     Raises:
-        IksamplesError: No joint moves the tool, or a joint's limits leave it no room.
+        IksamplesError: No joint moves the tool, or a joint's limits leave it no room or its name
+            cannot be printed.
     """
     frame = np.eye(4)  # in the base frame, all joints at zero
     names: list[str] = []
     kinds: list[JointKind] = []
     axes, points, limits = [], [], []
     for joint in joints:
+        if one_line(joint.name) != joint.name:
+            raise IksamplesError(
+                f"joint '{joint.name}': its name has characters that cannot be printed; rename it."
+            )
         far = max(np.abs(joint.before[:3, 3]).max(), np.abs(joint.after[:3, 3]).max())
         if far > MOST_METRES:
             raise IksamplesError(

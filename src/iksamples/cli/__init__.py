@@ -5,7 +5,10 @@ import sys
 import typer
 
 from iksamples.cli import ask, certify, fit_arm, next, readings, size, steps
-from iksamples.cli.common import app
+from iksamples.cli.common import (
+    app,
+    say,
+)
 from iksamples.errors import IksamplesError
 
 
@@ -14,7 +17,7 @@ def main() -> None:
     try:
         app()
     except FileNotFoundError as error:
-        typer.echo(
+        say(
             f"Error: {error.filename or error}: there is no such file. Either the name is wrong, "
             "or the study is not finished: run it to its end first.",
             err=True,
@@ -23,9 +26,9 @@ def main() -> None:
     except OSError as error:
         # A full disk, a folder that may not be written to.
         where = f"{error.filename}: " if error.filename else ""
-        typer.echo(f"Error: {where}{error.strerror or error}.", err=True)
+        say(f"Error: {where}{error.strerror or error}.", err=True)
         sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():
-            typer.echo(f"Error: {line}", err=True)
+            say(f"Error: {line}", err=True)
         sys.exit(2)

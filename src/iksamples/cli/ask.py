@@ -11,6 +11,7 @@ from iksamples.cli.common import (
     app,
     open_study,
     require_feasible,
+    say,
 )
 from iksamples.files import whole_file
 
@@ -31,12 +32,12 @@ def check(study_file: StudyFile) -> None:
 
         head, doubts = looked_at(study)
         lines = [f"Note: {doubt}" for doubt in doubts]
-        typer.echo("\n".join([f"{study.name}: valid; digest {study.digest()}. {head}", *lines]))
+        say("\n".join([f"{study.name}: valid; digest {study.digest()}. {head}", *lines]))
         return
     task = study_task(study)
     valid = f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}"
     if study.readings:
-        typer.echo(f"{valid}\n{readings_text(study, len(task.q))}")
+        say(f"{valid}\n{readings_text(study, len(task.q))}")
         return
     require_feasible(study, task)
     sets, all_recorded, lines = sample_sets(study), [], [valid]
@@ -48,21 +49,19 @@ def check(study_file: StudyFile) -> None:
         all_recorded.append(recorded)
         masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
         lines.append(f"  {label}: {recorded.n_samples} samples{masked}")
-    typer.echo("\n".join(lines))
+    say("\n".join(lines))
     box = region_points(Region.box(task.x.lower, task.x.upper), study.evaluation.cube_points)
     reach = task.reach(box)
-    typer.echo(f"  workspace: {_in_words(reach.summary())}. {reach.where_to_go()}")
+    say(f"  workspace: {_in_words(reach.summary())}. {reach.where_to_go()}")
     if task.region.n_boxes > 1:
-        typer.echo(
+        say(
             f"  everything is over the usable part of the workspace, {100 * task.region_share:.1f} "
             "% of the box"
         )
-    typer.echo(
-        f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}"
-    )
+    say(f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}")
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sample_sets(study, method=NETWORK)) * seeds
-    typer.echo(f"  {trained} networks to train")
+    say(f"  {trained} networks to train")
     advise(study, task, all_recorded)
 
 
@@ -83,7 +82,7 @@ def plan(
 
     study, task = open_study(study_file)
     if study.readings:
-        typer.echo(f"{study.name}\n{readings_text(study, len(task.q), cores)}")
+        say(f"{study.name}\n{readings_text(study, len(task.q), cores)}")
         return
     require_feasible(study, task)
     sets = [
@@ -93,7 +92,7 @@ def plan(
     ]
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
-    typer.echo(plan_text(study, plan_study(study, len(task.q), cached), cores))
+    say(plan_text(study, plan_study(study, len(task.q), cached), cores))
     advise(study, task, sets)
 
 
@@ -114,10 +113,10 @@ def recommend(
 
     if results is None:
         results = newest("results")
-        typer.echo(f"{results}, the study answered last:\n")
-    typer.echo(advise(results))
+        say(f"{results}, the study answered last:\n")
+    say(advise(results))
     for one in read_replications(results):
-        typer.echo(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
+        say(f"\n{one.method}, {one.design}, with fresh seeds: {one.statement}")
 
 
 @app.command()
@@ -183,7 +182,7 @@ def export(
     errors = [
         certificate[name] for name in ("position_error", "angle_error") if name in certificate
     ]
-    typer.echo(
+    say(
         f"{choice.study.name}, {choice.cell.method}, {choice.cell.label}, seed {choice.seed}: "
         f"{choice.why}.\n"
         + "".join(f"{error['says']}\n" for error in errors)

@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from iksamples.cli.common import app
+from iksamples.cli.common import (
+    app,
+    say,
+)
 from iksamples.errors import IksamplesError
 
 
@@ -207,7 +210,7 @@ def certify(
         ),
     )
     network = reading.network
-    typer.echo(f"Read {weights}: {reading.order}.")
+    say(f"Read {weights}: {reading.order}.")
     searches = network.n_seeds * (1 if target.orientation == "free" else 2)
     most = f"the search takes at most {time_limit * searches:g} s, its check comes on top"
     with _shown(f"proving; {most}"):
@@ -227,18 +230,16 @@ def certify(
             if one.upper < math.inf:
                 early = "" if one.complete else "; stopped early, so the bound may be far above"
                 how = f" (checked, {one.boxes} boxes{early})"
-            typer.echo(f"seed {seed}: {one.in_words()}{how}.", err=one.upper == math.inf)
+            say(f"seed {seed}: {one.in_words()}{how}.", err=one.upper == math.inf)
     every = [one for found in proved.values() for one in found]
     if any(one.upper == math.inf for one in every):
         raise typer.Exit(1)
     names = ", ".join(f"{n} [{unit}]" for n, unit in zip(target.names, target.units, strict=True))
     if not network.offset.any() and (network.scale == 1).all():
         units = " and ".join(dict.fromkeys(target.units))
-        typer.echo(
-            f"Inputs go into the network as they are, in {units} (no option says otherwise)."
-        )
+        say(f"Inputs go into the network as they are, in {units} (no option says otherwise).")
     folded = " (as folded here; the file's own operations round more often)"
-    typer.echo(
+    say(
         "Proved for the stored weights read as exact real numbers, in real arithmetic, over the "
         f"closed box ({names}); {float32_in_words(every)}{folded if reading.folded else ''}."
     )
@@ -324,7 +325,7 @@ def _shown(what: str) -> Iterator[None]:
     def tell() -> None:
         wait = 1.0
         while not done.wait(wait):
-            typer.echo(f"{time.monotonic() - began:.0f} s: {what} ...", err=True)
+            say(f"{time.monotonic() - began:.0f} s: {what} ...", err=True)
             wait = 10.0
 
     teller = threading.Thread(target=tell, daemon=True)

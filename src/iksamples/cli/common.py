@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, one_line
 from iksamples.files import kept_file
 
 
@@ -66,6 +66,11 @@ Columns = Annotated[
         "often as needed.",
     ),
 ]
+
+
+def say(text: str, err: bool = False) -> None:
+    """Prints lines; names of others that they hold cannot steer a terminal."""
+    typer.echo("\n".join(map(one_line, text.split("\n"))), err=err)
 
 
 def columns_of(said: list[str] | None) -> dict[str, str]:
@@ -142,7 +147,7 @@ def advise(study: "Study", task: "Task", sets: "list[SampleSet]") -> None:
     from iksamples.advice import advice
 
     for line in advice(study, task, sets):
-        typer.echo(f"Note: {line}", err=True)
+        say(f"Note: {line}", err=True)
 
 
 def require_one_of(known: Iterable[str], name: str, what: str) -> None:

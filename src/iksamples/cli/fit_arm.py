@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from iksamples.cli.common import Columns, Output, app, arm_settings, columns_of
+from iksamples.cli.common import (
+    Columns,
+    Output,
+    app,
+    arm_settings,
+    columns_of,
+    say,
+)
 from iksamples.files import whole_file
 
 
@@ -66,9 +73,9 @@ def fit_arm(
     if parameters is not None:
         with whole_file(parameters) as file:
             found.parameters().to_csv(file, index=False)
-    typer.echo("\n".join(_told(found)))
+    say("\n".join(_told(found)))
     named = f" Its tool is the link {tip}." if tip not in (None, tip_link) else ""
-    typer.echo(f"\n{output}: written; read back it agrees with the fit.{named}")
+    say(f"\n{output}: written; read back it agrees with the fit.{named}")
 
 
 def _told(found: "ArmFit") -> list[str]:

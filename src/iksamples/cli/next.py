@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from iksamples.cli.common import Arm, Columns, Output, app, arm_settings, columns_of, open_study
+from iksamples.cli.common import (
+    Arm,
+    Columns,
+    Output,
+    app,
+    arm_settings,
+    columns_of,
+    open_study,
+    say,
+)
 from iksamples.errors import IksamplesError
 from iksamples.files import whole_file
 
@@ -147,7 +156,7 @@ def _for_network(
     how: ProposalStrategy = "worst" if strategy is Strategy.WORST else "disagreement"
     poses = next_poses(study, task, samples, count, how, weights, progress=True)
     _write(poses.round(4), output)
-    typer.echo(f"{len(poses)} poses written to {output}")
+    say(f"{len(poses)} poses written to {output}")
 
 
 def _question(
@@ -204,32 +213,32 @@ def _for_calibration(
         recording = read_recording(samples_file, asked.drawing, columns, fewest=1)
         n = len(recording)
         for line in recording.remarks:
-            typer.echo(f"Note: {line}", err=True)
+            say(f"Note: {line}", err=True)
     fitted = asked.fitted(recording)
     advice, joints = asked.next_poses(fitted, count, anywhere)
     sure, limit = f"{asked.tolerance.confidence:.0%} confidence", asked.tolerance.error_mm
     if fitted.noise_estimated and fitted.freedom > 0:
-        typer.echo(f"Noise, as the residuals show it: {fitted.noise_mm:.2g} mm.")
+        say(f"Noise, as the residuals show it: {fitted.noise_mm:.2g} mm.")
     where = "wherever the tool gets" if asked.region is None else "over the workspace"
     now = (
         "is not known yet"
         if advice.worst_mm == float("inf")
         else f"is at most {advice.worst_mm:.3g} mm with {sure}"
     )
-    typer.echo(f"After {n} poses the worst error of the fitted drawing {where} {now}.")
+    say(f"After {n} poses the worst error of the fitted drawing {where} {now}.")
     if advice.stop:
-        typer.echo(f"Stop: it is within {limit:g} mm. Nothing is written.")
+        say(f"Stop: it is within {limit:g} mm. Nothing is written.")
         return
     middle = (asked.drawing.lower + asked.drawing.upper) / 2
     start = middle if recording is None else recording.joints[-1]
     _write(in_order(fitted, joints, start).round(6), output)
-    typer.echo(
+    say(
         f"Record {len(joints)} more, in the order in which they stand in {output}. Then it is "
         f"expected to be at most {advice.expected_mm:.3g} mm."
     )
     if count is None and advice.expected_mm > limit:
         wider = "" if anywhere or asked.region is None else ", or also elsewhere (--anywhere)"
-        typer.echo(f"That is not within {limit:g} mm yet. To need fewer, measure better{wider}.")
+        say(f"That is not within {limit:g} mm yet. To need fewer, measure better{wider}.")
 
 
 def _write(poses: "pd.DataFrame", output: Path) -> None:

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from iksamples.cli.common import Arm, Columns, app, arm_settings, columns_of
+from iksamples.cli.common import (
+    Arm,
+    Columns,
+    app,
+    arm_settings,
+    columns_of,
+    say,
+)
 from iksamples.errors import IksamplesError
 
 
@@ -112,7 +119,7 @@ def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
     from iksamples.recorded.told import told
 
     found = learning_curve(study, drawn)
-    typer.echo("\n".join(told(study, found, judged)))
+    say("\n".join(told(study, found, judged)))
 
 
 def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
@@ -139,4 +146,4 @@ def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
     if given:
         lines += ["at least: lower end of the share of runs within, at that confidence."]
         lines += beyond(one)
-    typer.echo("\n".join(lines))
+    say("\n".join(lines))

@@ -19,6 +19,7 @@ from iksamples.cli.common import (
     record_sets,
     require_feasible,
     require_one_of,
+    say,
     write_tables,
 )
 from iksamples.errors import IksamplesError
@@ -96,7 +97,7 @@ def evaluate(
             try:
                 write_tables(cell, measure(study, task, samples, name, cell))
             except NotApplicableError as why_not:
-                typer.echo(str(why_not), err=True)
+                say(str(why_not), err=True)
                 write_tables(cell, [nothing_measured()])
 
 
@@ -225,7 +226,7 @@ def learn(study_file: StudyFile, results: Results) -> None:
     found = learning_curve(read_study(study_file))
     about = {"head": found.head, "doubts": found.doubts, "left_out": found.left_out}
     for doubt in found.doubts:
-        typer.echo(f"Note: {doubt}", err=True)
+        say(f"Note: {doubt}", err=True)
     with kept_file(results / ABOUT) as file:
         file.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     with kept_file(results / JUDGED) as file:
@@ -313,7 +314,7 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         prove(settings, sets, NETWORK, network, network / "certificates.csv")
         collect(settings, folder)
         check = replication(study.tolerance, one, outcomes(fresh, read_runs(folder)))
-        typer.echo(f"{one.method}, {one.design}: {check.statement}")
+        say(f"{one.method}, {one.design}: {check.statement}")
         found.append(check)
     with kept_file(output) as file:
         file.write_text(to_json(found), encoding="utf-8")
@@ -350,8 +351,8 @@ def track(
             raise
         command = ["iksamples", "track", str(study_file), "--results", str(results)]
         put_off(study, error, shlex.join(command), output)
-        typer.echo(f"Warning: {error}\nAll else goes on. To log this study later:", err=True)
-        typer.echo(f"  {shlex.join(command)}", err=True)
+        say(f"Warning: {error}\nAll else goes on. To log this study later:", err=True)
+        say(f"  {shlex.join(command)}", err=True)
 
 
 @app.command()

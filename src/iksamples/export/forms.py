@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, one_line
 from iksamples.network import StackedMLP
 from iksamples.task import Space
 
@@ -147,8 +147,8 @@ def c_source(network: PlainNetwork, about: Sequence[str]) -> str:
     comment = list(about)
     for name, columns in (("x", network.inputs), ("q", network.outputs)):
         comment += [f"{name}[{k}]: {of} [{unit}]" for k, (of, unit) in enumerate(columns)]
-    # Names of joints and studies may hold anything.
-    comment = [line.replace("*/", "* /").replace("/*", "/ *") for line in comment]
+    # Names of joints and files may hold anything.
+    comment = [one_line(line).replace("*/", "* /").replace("/*", "/ *") for line in comment]
     lines = ["/*", *(f" * {line}".rstrip() for line in comment), " */", ""]
     if network.activation == "tanh" and len(network.layers) > 1:
         lines += ["#include <math.h>", ""]

@@ -5,6 +5,7 @@ postures. A model of the arm is right if it has the ball in one point in all pos
 and the two points as far apart as the sockets are.
 """
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from iksamples.calibration.fit import fit_sockets
 from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.worst import Measured
 from iksamples.errors import IksamplesError
+from iksamples.files import read_bytes
 from iksamples.recorded.doubts import MOST_RAD
 from iksamples.study import Design, Recorded, Study
 
@@ -31,6 +33,7 @@ FILES = ("hole_0.csv", "hole_1.csv")
 FEWEST = 2
 """Postures of a point, below which it says nothing."""
 _STREAM = 60
+_MOST_BYTES = 50_000_000
 
 
 def read_places(settings: Recorded, drawing: SerialChain) -> Places:
@@ -61,10 +64,11 @@ def read_places(settings: Recorded, drawing: SerialChain) -> Places:
 
 
 def _postures(path: Path, drawing: SerialChain) -> Floats:
+    content = read_bytes(path, _MOST_BYTES, "the joint values")
     try:
-        found = np.loadtxt(path, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        found = np.loadtxt(io.BytesIO(content), delimiter=",", ndmin=2)
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
         raise IksamplesError(f"{path}: no table of joint values ({reason}).") from None
     if found.shape[1] != drawing.n_joints or len(found) < FEWEST:
         raise IksamplesError(

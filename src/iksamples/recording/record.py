@@ -316,7 +316,7 @@ def _log_arm(
             (EPOCH, grid.epochs, grid.learning.joints[:, 0, i]),
         ):
             recording.send_columns(
-                f"robot/joints/{name}",
+                rr.new_entity_path(["robot", "joints", name]),
                 [rr.TimeColumn(timeline, sequence=times)],
                 joint.compute_transform_columns((values / unit).tolist(), clamp=False),
             )

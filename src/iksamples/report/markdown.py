@@ -11,6 +11,8 @@ import pandas as pd
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 
+from iksamples.errors import one_line
+
 
 _ROUNDING = 1e-6
 """What is smaller is rounding and no error [mm]."""
@@ -35,22 +37,17 @@ def escaped(value: object) -> Markup:
         return value
     if isinstance(value, float):
         raise TypeError(f"{value}: a number needs a filter that rounds it")
-    text = re.sub(r"[\r\n\t]+", " ", "" if value is None else str(value))
+    text = one_line("" if value is None else str(value))
     text = _UNIT.sub("\u00a0", text)
     return Markup(html.escape(_SPECIAL.sub(r"\\\1", text), quote=False))
 
 
 def code(value: object) -> Markup:
     """A command, a path or a key between backticks, whatever backticks it holds itself."""
-    text = line(str(value))
+    text = one_line(str(value))
     fence = "`" * (max((len(run) for run in re.findall("`+", text)), default=0) + 1)
-    pad = " " if "`" in text else ""
+    pad = " " if "`" in text or not text else ""
     return Markup(f"{fence}{pad}{text}{pad}{fence}")
-
-
-def line(command: str) -> str:
-    """A command as one line of a fence, which a line break could end."""
-    return re.sub(r"[\r\n]+", " ", command)
 
 
 def number(value: float, digits: int = 2, rounding: str = "") -> str:

@@ -6,10 +6,12 @@ import json
 import shutil
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from iksamples.errors import one_line
 from iksamples.files import whole_file
 from iksamples.report import answers, errors, figures, markdown, paper, run
 from iksamples.report.data import read_report_data
@@ -157,7 +159,8 @@ def text_environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for name in ("code", "line", "mm", "number", "percent", "span", "table", "whole"):
+    environment.filters["line"] = one_line  # of a fence, which a line break could end
+    for name in ("code", "mm", "number", "percent", "span", "table", "whole"):
         environment.filters[name] = getattr(markdown, name)
     return environment
 
@@ -206,7 +209,7 @@ def write_front_page(reports: str | Path, kept: str | Path) -> None:
     links = {name: _KEPT.format(name) for name in folders}
     for built in sorted(reports.glob("*/README.md")):
         folders[built.parent.name] = built.parent
-        links[built.parent.name] = f"{built.parent.name}/index.html"
+        links[built.parent.name] = f"{quote(built.parent.name)}/index.html"
     studies = []
     for name, folder in sorted(folders.items(), key=lambda one: one[0] != _FIRST):
         text = (folder / "README.md").read_text(encoding="utf-8")
