@@ -1,8 +1,10 @@
 """Files that appear whole or not at all, and are known again when they are read."""
 
 import hashlib
+import signal
 import stat
 import subprocess
+import sys
 
 import pytest
 
@@ -69,3 +71,32 @@ def test_a_file_that_was_brought_along_is_taken_as_it_is(tmp_path):
     assert not is_intact(path)
     assert checked(tmp_path / "absent") == tmp_path / "absent"
     assert not is_intact(tmp_path / "absent")
+
+
+WRITERS = {
+    "weights": "write_tensors(path, {'a': np.ones(9999)}, {})",
+    "cache": "record.save(path)",
+    "table": "pd.DataFrame({'a': range(9999)}).to_parquet(path)",
+}
+STOPPED = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+import pandas as pd
+from iksamples.network import write_tensors
+from iksamples.training.record import Record
+
+path = Path(sys.argv[1])
+record = Record(**{name: np.ones((3, 999)) for name in Record.__dataclass_fields__})
+signal.signal(signal.SIGXFSZ, signal.SIG_DFL)  # as a kill, in the middle of the first write
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+"""
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_what_a_stopped_writer_leaves_is_written_over_by_the_next(tmp_path, writer):
+    """It writes to no other name, which nobody would remove."""
+    command = [sys.executable, "-c", STOPPED + WRITERS[writer], tmp_path / ".unfinished-file"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == -signal.SIGXFSZ, done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == [".unfinished-file"]

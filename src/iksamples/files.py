@@ -49,16 +49,23 @@ def checked(path: str | Path) -> Path:
             makes it again.
     """
     path = Path(path)
-    if not path.exists() or not digest_file(path).exists() or is_intact(path):
+    if (aside := put_aside(path)) is None:
         return path
-    aside = path.with_name(f"{path.name}.damaged")
-    with suppress(OSError):  # a folder that cannot be written to
-        path.replace(aside)
-        digest_file(path).unlink()
     raise IksamplesError(
         f"{path}: not as it was written (SHA-256), so nothing is read from it; it is now called "
         f"{aside.name}. Run the study again, which makes what is lost."
     )
+
+
+def put_aside(path: Path) -> Path | None:
+    """Gives a file that is not as it was written another name, and says which; else nothing."""
+    if not path.exists() or not digest_file(path).exists() or is_intact(path):
+        return None
+    aside = path.with_name(f"{path.name}.damaged")
+    with suppress(OSError):  # a folder that cannot be written to
+        path.replace(aside)
+        digest_file(path).unlink()
+    return aside
 
 
 def read_bytes(path: str | Path, most: int, what: str) -> bytes:

@@ -135,10 +135,11 @@ def layers_of(tensors: dict[str, NDArray]) -> tuple[tuple[Weights, ...], tuple[W
 
 def write_tensors(path: str | Path, tensors: dict[str, NDArray], header: dict[str, Any]) -> None:
     """Writes named arrays and a JSON header as a safetensors file, the same bytes every time."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
-    # One entry: the format keeps several in no order of its own.
-    save_file(tensors, str(path), {"iksamples": json.dumps(header)})
+    # One entry: the format keeps several in no order of its own. Its own writer, `save_file`, would
+    # leave a file under a name of its own after a kill.
+    Path(path).write_bytes(save(tensors, {"iksamples": json.dumps(header)}))
 
 
 def read_tensors(path: str | Path) -> tuple[dict[str, NDArray], dict[str, Any]]:

@@ -10,12 +10,16 @@ import shlex
 import sys
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from iksamples.errors import IksamplesError
-from iksamples.files import whole_file
+from iksamples.files import put_aside, whole_file
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study, read_study
 from iksamples.study.reading import typed
+
+LOCK = FileLock(".snakemake/iksamples.lock")
 
 # What the rules run, so that no environment needs to be active. Among the params, Snakemake would
 # take another place of the same Python for another way to do things.
@@ -80,16 +84,29 @@ def lock_this_folder():
     Snakemake's own lock outlives a killed run and has to be removed by hand; this one is the
     operating system's and ends with the process (profiles/default switches the other one off).
     """
-    from filelock import FileLock, Timeout
-
-    global LOCK  # kept, since the lock ends with the object
-    LOCK = FileLock(".snakemake/iksamples.lock")
     try:
         LOCK.acquire(timeout=0)
     except Timeout:
         stop("another run is working in this folder; wait for it or stop it.")
     except OSError as error:
         stop(f"cannot write into this folder, {os.getcwd()} ({error.strerror}).")
+
+
+def put_damaged_aside(files):
+    """Takes results that a disk or a hand has changed out of the way, so that they are made again.
+
+    Snakemake looks at times and not at what is in a file; so a result that no job reads again, or
+    one whose time is the same, would stay as it is.
+    """
+    if not workflow.is_main_process:
+        return
+    # Beside another run, whose files may be on their way, nothing is looked at.
+    with contextlib.suppress(Timeout, OSError), LOCK.acquire(timeout=0):
+        for file in filter(put_aside, map(Path, files)):
+            print(
+                f"Note: {file}: not as it was written (SHA-256); it is made again.",
+                file=sys.stderr,
+            )
 
 
 def write_study():

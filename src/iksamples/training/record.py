@@ -87,11 +87,10 @@ class Record:
 
     def save(self, path: Path) -> None:
         """Writes a safetensors file."""
-        from safetensors.numpy import save_file
+        from safetensors.numpy import save
 
-        save_file(
-            {name: np.ascontiguousarray(array) for name, array in self._arrays().items()}, path
-        )
+        arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays().items()}
+        path.write_bytes(save(arrays))  # see write_tensors
 
     @classmethod
     def load(cls, path: Path) -> "Record":
