@@ -113,6 +113,8 @@ def next_(
 ) -> None:
     """Propose the next poses to record on the arm, inside its limits, as CSV; or say to stop.
 
+    Collisions, of the arm with itself or with what stands around it, are not checked.
+
     Beside each pose for a network: how far apart the trained seeds send the arm there, and the
     largest error of a seed (disagreement_mm, error_mm), both by the arm's model. Poses for a
     calibration stand in the order of the shortest way.
@@ -244,3 +246,8 @@ def _for_calibration(
 def _write(poses: "pd.DataFrame", output: Path) -> None:
     with whole_file(output) as file:
         poses.to_csv(file, index=False)
+    typer.echo(
+        "Not checked: whether the arm would meet itself or what stands around it, there or on the "
+        "way.",
+        err=True,
+    )

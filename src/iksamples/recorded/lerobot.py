@@ -1,8 +1,8 @@
 """A LeRobot data set as records: joint values of its frames, and the drawing's tool if told so.
 
 Versions 2.1 (a file per episode) and 3.0 (many episodes a file). No file says in what unit joint
-values are: degrees, or -100 to 100 over each motor's calibrated range in older recordings. Where
-the tool was is not recorded either.
+values are: -100 to 100 over each motor's calibrated range, or degrees from its middle; which of the
+two a recorder writes by default has changed. Where the tool was is not recorded either.
 """
 
 import json
@@ -50,13 +50,13 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
         raise IksamplesError(f"{folder}: a LeRobot data set; name its arm with --robot.")
     columns = _columns(folder, names, drawing, settings)
     values = values[:, columns]
-    stops = bool((np.abs(values) == _STOP).any() and np.abs(values).max() == _STOP)
-    unit = settings.joint_unit or ("range" if stops else None)
+    stops, unit = bool(np.abs(values).max() == _STOP), settings.joint_unit
     if unit is None:
+        hint = ", as values that stop at exactly 100 are" if stops else ""
         raise IksamplesError(
             f"{folder}: no file of a LeRobot data set says the unit of joint values, here from "
             f"{values.min():.4g} to {values.max():.4g}; say --joint-unit deg, rad or range (-100 "
-            "to 100 over the motor's range), or samples.recorded.joint_unit."
+            f"to 100 over the motor's range{hint}), or samples.recorded.joint_unit."
         )
     joints = _in_rad(folder, values, unit, stops, drawing)
     if not settings.tool_from_drawing:
@@ -73,10 +73,13 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
             f"{folder}: {len(kept)} different postures; at least {FEWEST} are needed."
         )
     position, rotation = drawing.pose(joints[kept])
-    said = (
-        "detected, since values stop at exactly 100" if settings.joint_unit is None else "as said"
-    )
-    what = {"deg": "degrees", "rad": "radians", "range": "-100 to 100 over the drawing's limits"}
+    what = {
+        "deg": "degrees from the drawing's zero (the recorder counts from the middle of the range "
+        "that each motor was calibrated over)",
+        "rad": "radians",
+        "range": "-100 to 100 over the drawing's limits (the recorder's are the range that each "
+        "motor was calibrated over)",
+    }
     return Recording(
         Table(folder, drawing.joint_names, joints[kept].tolist()),
         position,
@@ -88,7 +91,7 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
             f"{len(kept)} of {len(values)} frames are taken, evenly spread and each posture once; "
             "records near to those held out are still learned from, so that errors are those "
             "between postures of one recording.",
-            f"joint values are taken as {what[unit]}, {said}.",
+            f"joint values are taken as {what[unit]}.",
             "where the tool was is computed: everything here is the drawing's, not the arm's.",
         ),
         middle(rotation),
@@ -121,8 +124,8 @@ def _frames(folder: Path) -> tuple[list[str], Floats]:
             f"{folder}: {'no frames in data/' if isinstance(names, list) else 'no joint names'}."
         )
     try:
-        frames = [parquet.read_table(file, columns=[STATE])[STATE].to_pylist() for file in files]
-        values = np.array([row for rows in frames for row in rows], float)
+        states = [parquet.read_table(file, columns=[STATE])[STATE].to_numpy() for file in files]
+        values = np.stack([row for rows in states for row in rows]).astype(float)
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise IksamplesError(f"{folder}: its frames cannot be read ({reason}).") from None

@@ -66,7 +66,7 @@ class Recorded(Section):
         None,
         description="Unit of a LeRobot data set's joint values, which none of its files says "
         "(range: -100 to 100 over the motor's range, taken for the drawing's limits); null: not "
-        "known, which is an error unless the values show it.",
+        "known, which is an error for such a data set.",
     )
     tool_from_drawing: bool = Field(
         False,
