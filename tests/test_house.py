@@ -33,6 +33,7 @@ ORDER = [
     "recorded",
     "paper",
     "plan",
+    "jobs",
     "report",
     "recording",
     "export",
@@ -41,7 +42,7 @@ ORDER = [
     "__main__",
 ]
 """The folders and modules of the package; each imports only what stands before it."""
-ALONE = {"__main__", "sources"}
+ALONE = {"__main__", "jobs", "sources"}
 """Started by Python, and by the workflow: no module of the package imports these."""
 
 

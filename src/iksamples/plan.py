@@ -10,7 +10,7 @@ from math import ceil
 
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.results import certified, networks, sample_sets
-from iksamples.study import NETWORK, Study
+from iksamples.study import NETWORK, PROVED_TOGETHER, Study
 from iksamples.text import several
 from iksamples.training.run import choose_engine
 
@@ -69,13 +69,14 @@ class Plan:
     def seconds(self, cores: int) -> float:
         """Expected time with some cores [s].
 
-        Training is one job that all others but the recording of samples wait for, and replication
-        is one that waits for the answer; the others share the cores.
+        All jobs but the recording of samples wait for training, one job where that is short, and
+        replication is one that waits for the answer; the others share the cores.
         """
         parts = {step.step: step for step in self.steps}
         alone = _SNAKEMAKE + _SCHEDULING * sum(step.jobs for step in self.steps)
         alone += parts["samples"].seconds / cores
-        alone += sum(parts[step].seconds for step in ("train", "replicate") if step in parts)
+        alone += parts["train"].seconds / min(cores, parts["train"].jobs)
+        alone += parts["replicate"].seconds if "replicate" in parts else 0.0
         rest = [step for step in self.steps if step.step not in ("samples", "train", "replicate")]
         shared = sum(step.seconds for step in rest) / cores
         return alone + max(shared, max(step.longest_s for step in rest))
@@ -103,6 +104,25 @@ def plan_study(study: Study, n_joints: int, cached: dict[str, int] | None = None
     return Plan(methods, list(_steps(study, n_joints, methods)))
 
 
+def seeds_per_job(study: Study, seconds: float, n_seeds: int) -> int:
+    """How many seeds a job takes, where all of them take so long [s]."""
+    blocks = _JOB * n_seeds / max(seconds, 1e-9) / PROVED_TOGETHER
+    return study.seeds_per_job or PROVED_TOGETHER * max(1, int(min(blocks, n_seeds)))
+
+
+def _cut(study: Study, seconds: float, n_seeds: int) -> list[float]:
+    """Work with some seeds, as the jobs that it is cut into."""
+    n_jobs = -(-n_seeds // seeds_per_job(study, seconds, n_seeds))
+    return [seconds / n_jobs] * n_jobs
+
+
+def proof_seconds(study: Study, n_joints: int, plan: MethodPlan) -> float:
+    """Expected time of the proofs of a method's networks [s]."""
+    method = study.all_methods[plan.method]
+    weights = method.network.n_parameters(len(study.task.inputs), n_joints)
+    return _PROOF[method.training.optimizer] * weights / 115 * plan.networks
+
+
 def resources(study: Study, rule: str) -> dict[str, int]:
     """What a scheduler is asked for, for one job of a rule: the estimate with room to spare.
 
@@ -114,13 +134,13 @@ def resources(study: Study, rule: str) -> dict[str, int]:
         ``mem_mb`` [MB] and ``runtime`` [min], as Snakemake names them.
     """
     # An arm has as many joints as inputs at least; how many hardly matters here.
-    steps = () if _apart(study) else plan_study(study, n_joints=len(study.task.inputs)).steps
+    steps = () if is_apart(study) else plan_study(study, n_joints=len(study.task.inputs)).steps
     found = {step.step: step for step in steps}.get(rule)
     memory_mb, seconds = (found.memory_mb, found.longest_s) if found else (_OTHER_MB, 0.0)
     return {"mem_mb": ceil(1.5 * memory_mb), "runtime": ceil(_SLOWER * seconds / 60) + 5}
 
 
-def _apart(study: Study) -> bool:
+def is_apart(study: Study) -> bool:
     """Whether the study has rules of its own."""
     return bool(study.readings or study.samples.recorded)
 
@@ -236,6 +256,8 @@ _START = {
     "report": 5.0,
 }
 _ELSEWHERE = "another machine may take half or twice as long."
+_JOB = 600.0
+"""Work that is worth a job of its own: beside it, starting Python costs next to nothing."""
 _SLOWER = 4
 """Times slower than here a machine may be, before a scheduler ends its job."""
 _SNAKEMAKE, _SCHEDULING = 4.0, 0.4
@@ -307,13 +329,18 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
         evaluations.append(_POINT * points * untrained * n_sets)
     proofs = []
     for name in certified(study):
-        method = study.all_methods[name]
-        weights = method.network.n_parameters(len(study.task.inputs), n_joints)
-        per_network = _PROOF[method.training.optimizer] * weights / 115
-        proofs.append(per_network * plans[name].networks if name in plans else 0.1 * n_sets)
+        if name not in plans:
+            proofs.append(0.1 * n_sets)
+            continue
+        needed = proof_seconds(study, n_joints, plans[name])
+        proofs += _cut(study, needed, study.all_methods[name].training.seeds)
     work = {
         "samples": [_ADAPTIVE if "adaptive" in study.designs() else 0.02 * n_sets],
-        "train": [sum(plan.seconds for plan in methods)],
+        "train": _cut(
+            study,
+            sum(plan.seconds for plan in methods),
+            max(study.all_methods[plan.method].training.seeds for plan in methods),
+        ),
         "evaluate": evaluations,
         "bounds": [0.01 * n_networks],
         "prove": proofs,
@@ -327,7 +354,7 @@ def _steps(study: Study, n_joints: int, methods: list[MethodPlan]) -> Iterator[S
     if study.replication.seeds:
         fresh = 2 * study.replication.seeds * len(methods)
         share = fresh / sum(plan.networks for plan in methods)
-        again = work["train"][0] + sum(evaluations)
+        again = sum(work["train"]) + sum(evaluations)
         if study.tolerance.certifiable:
             again += sum(proofs)
         work["replicate"] = [share * again]

@@ -38,6 +38,8 @@ rule collect:
         "results/{study}/logs/collect.log",
     benchmark:
         "results/{study}/benchmarks/collect.jsonl"
+    resources:
+        **asked(STUDY, "collect"),
     params:
         study="results/{study}/study.json",
         code=source_digest("iksamples.answer.collect"),
@@ -66,6 +68,8 @@ rule table:
         "results/{study}/logs/table.log",
     benchmark:
         "results/{study}/benchmarks/table.jsonl"
+    resources:
+        **asked(STUDY, "table"),
     params:
         study="results/{study}/study.json",
         settings=settings(
@@ -89,6 +93,8 @@ rule answer:
         "results/{study}/logs/answer.log",
     benchmark:
         "results/{study}/benchmarks/answer.jsonl"
+    resources:
+        **asked(STUDY, "answer"),
     params:
         study="results/{study}/study.json",
         settings=settings(
@@ -117,6 +123,8 @@ rule replicate:
     benchmark:
         "results/{study}/benchmarks/replicate.jsonl"
     threads: 2
+    resources:
+        **asked(STUDY, "replicate"),
     params:
         study="results/{study}/study.json",
         settings=settings(

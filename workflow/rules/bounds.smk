@@ -24,6 +24,8 @@ rule bounds:
         "results/{study}/logs/bounds.log",
     benchmark:
         "results/{study}/benchmarks/bounds.jsonl"
+    resources:
+        **asked(STUDY, "bounds"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -34,17 +36,47 @@ rule bounds:
         '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.results:q}/network 2> >(tee {log:q} >&2)'
 
 
+rule prove_part:
+    """The same as `prove` for some of a method's networks."""
+    input:
+        weights,
+        samples=samples_of,
+    output:
+        temp("results/{study}/{method}/certificates/{seeds}.csv"),
+    log:
+        "results/{study}/logs/prove/{method}-{seeds}.log",
+    benchmark:
+        "results/{study}/benchmarks/prove/{method}-{seeds}.jsonl"
+    resources:
+        **asked(STUDY, "prove"),
+    params:
+        study="results/{study}/study.json",
+        arm=ARM,
+        settings=settings("robot", "arm", "task", "workspace"),
+        tightness=settings(
+            bounds={"sup_rtol", "sup_atol_deg", "mean_rtol", "mean_atol_mm"}
+        ),
+        code=source_digest("iksamples.certify.step"),
+        results=results_folder,
+    shell:
+        '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
+        " --seeds {wildcards.seeds} --folder {params.results:q}/{wildcards.method} --output {output:q} 2> >(tee {log:q} >&2)"
+
+
 rule prove:
     """The worst and the mean error of a method over the workspace, proved for every network."""
     input:
         weights,
         samples=samples_of,
+        parts=proof_parts,
     output:
         "results/{study}/{method}/certificates.csv",
     log:
         "results/{study}/logs/prove/{method}.log",
     benchmark:
         "results/{study}/benchmarks/prove/{method}.jsonl"
+    resources:
+        **asked(STUDY, "prove"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -55,9 +87,10 @@ rule prove:
         kind=lookup("{method}", within=KINDS),
         code=source_digest("iksamples.certify.step"),
         results=results_folder,
+        proved=options("--proved", "parts"),
     shell:
         '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
-        " --folder {params.results:q}/{wildcards.method} --output {output:q} 2> >(tee {log:q} >&2)"
+        " --folder {params.results:q}/{wildcards.method} --output {output:q} {params.proved:q} 2> >(tee {log:q} >&2)"
 
 
 rule map:
@@ -81,6 +114,8 @@ rule map:
         "results/{study}/logs/map.log",
     benchmark:
         "results/{study}/benchmarks/map.jsonl"
+    resources:
+        **asked(STUDY, "map"),
     params:
         study="results/{study}/study.json",
         arm=ARM,

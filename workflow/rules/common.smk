@@ -14,6 +14,8 @@ from filelock import FileLock, Timeout
 
 from iksamples.errors import IksamplesError
 from iksamples.files import put_aside, whole_file
+from iksamples.jobs import parts
+from iksamples.plan import resources as asked
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
 from iksamples.study import parse_study, read_study
@@ -173,6 +175,28 @@ def weights(wildcards):
     )
 
 
+def proof_parts(wildcards):
+    """The proofs of a method in parts; none where one job proves them all."""
+    return expand(
+        "results/{study}/{method}/certificates/{seeds}.csv",
+        study=wildcards.study,
+        method=wildcards.method,
+        seeds=parts(STUDY, wildcards.method),
+    )
+
+
+def options(name, files):
+    """The files of an input as options of a command."""
+
+    def as_options(wildcards, input):
+        given = input.get(files, [])
+        return [
+            f"{name}={file}" for file in ([given] if isinstance(given, str) else given)
+        ]
+
+    return as_options
+
+
 def typed_command(wildcards):
     """What a user types to run this study."""
     command = ["snakemake", "--cores", "2"]
@@ -253,6 +277,7 @@ if not workflow.modifier.is_main_snakefile() and workflow.is_main_process:
 
 
 wildcard_constraints:
+    seeds=r"\d+-\d+",
     study=STUDY.name,
     network="|".join(networks(STUDY)),
     samples="|".join(ALL_LABELS),

@@ -30,6 +30,8 @@ rule evaluate:
         "results/{study}/logs/evaluate/{network}.log",
     benchmark:
         "results/{study}/benchmarks/evaluate/{network}.jsonl"
+    resources:
+        **asked(STUDY, "evaluate"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -63,6 +65,8 @@ if UNTRAINED:
             "results/{study}/logs/evaluate/untrained.log",
         benchmark:
             "results/{study}/benchmarks/evaluate/untrained.jsonl"
+        resources:
+            **asked(STUDY, "evaluate"),
         params:
             study="results/{study}/study.json",
             arm=ARM,
@@ -89,6 +93,8 @@ if FLOOR:
             "results/{study}/logs/floor.log",
         benchmark:
             "results/{study}/benchmarks/floor.jsonl"
+        resources:
+            **asked(STUDY, "evaluate"),
         params:
             study="results/{study}/study.json",
             arm=ARM,

@@ -17,6 +17,8 @@ rule search:
         "results/{study}/logs/search/{part}.log",
     benchmark:
         "results/{study}/benchmarks/search/{part}.jsonl"
+    resources:
+        **asked(STUDY, "train"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -39,6 +41,8 @@ rule confirm:
         "results/{study}/logs/confirm/{part}.log",
     benchmark:
         "results/{study}/benchmarks/confirm/{part}.jsonl"
+    resources:
+        **asked(STUDY, "train"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -58,6 +62,8 @@ rule rank:
         best="results/{study}/best.json",
     log:
         "results/{study}/logs/rank.log",
+    resources:
+        **asked(STUDY, "rank"),
     params:
         code=source_digest("iksamples.paper.readings"),
     shell:
@@ -76,6 +82,8 @@ rule page:
         figures=directory("reports/{study}/figures"),
     log:
         "results/{study}/logs/page.log",
+    resources:
+        **asked(STUDY, "page"),
     params:
         study="results/{study}/study.json",
         settings=settings("title", "readings"),

@@ -19,6 +19,8 @@ rule learn:
         "results/{study}/logs/learn.log",
     benchmark:
         "results/{study}/benchmarks/learn.jsonl"
+    resources:
+        **asked(STUDY, "learn"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -38,6 +40,8 @@ rule size:
         multiext("results/{study}/", "answer.json", "samples-needed.csv"),
     log:
         "results/{study}/logs/answer.log",
+    resources:
+        **asked(STUDY, "size"),
     params:
         study="results/{study}/study.json",
         settings=settings("tolerance"),
@@ -58,6 +62,8 @@ rule describe:
         figures=directory("reports/{study}/figures"),
     log:
         "results/{study}/logs/report.log",
+    resources:
+        **asked(STUDY, "describe"),
     params:
         study="results/{study}/study.json",
         settings=settings(),

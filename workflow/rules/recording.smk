@@ -29,6 +29,8 @@ rule record:
         "results/{study}/logs/record.log",
     benchmark:
         "results/{study}/benchmarks/record.jsonl"
+    resources:
+        **asked(STUDY, "record"),
     params:
         study="results/{study}/study.json",
         arm=ARM,

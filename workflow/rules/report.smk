@@ -37,6 +37,8 @@ rule report:
         "results/{study}/logs/report.log",
     benchmark:
         "results/{study}/benchmarks/report.jsonl"
+    resources:
+        **asked(STUDY, "report"),
     params:
         study="results/{study}/study.json",
         arm=ARM,

@@ -16,6 +16,8 @@ rule samples:
         "results/{study}/logs/samples.log",
     benchmark:
         "results/{study}/benchmarks/samples.jsonl"
+    resources:
+        **asked(STUDY, "samples"),
     params:
         study="results/{study}/study.json",
         arm=ARM,

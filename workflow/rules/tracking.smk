@@ -10,7 +10,6 @@ OUTPUTS
 
 
 rule track:
-    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
     input:
         runs="results/{study}/runs.parquet",
         answer="results/{study}/answer.json",
@@ -20,6 +19,12 @@ rule track:
         "results/{study}/logs/track.log",
     benchmark:
         "results/{study}/benchmarks/track.jsonl"
+    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
+
+    # On a cluster too, where it was typed: SQLite is no file for several machines.
+    localrule: True
+    resources:
+        **asked(STUDY, "track"),
     params:
         study="results/{study}/study.json",
         settings=settings(),

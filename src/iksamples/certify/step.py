@@ -5,6 +5,7 @@ error is the median over the seeds. Of these few is proved, too, where the error
 how the worst case fell along the training.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,13 @@ from iksamples.certify.search import Certificate, certify_stack
 from iksamples.certify.table import Table
 from iksamples.columns import certificate_columns
 from iksamples.evaluation.errors import median_seed, networks_over_epochs
+from iksamples.files import checked as intact
 from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.network import StackedMLP
 from iksamples.results import Cell
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import Study
+from iksamples.study import PROVED_TOGETHER, Study
 from iksamples.task import Task
 
 
@@ -33,7 +35,12 @@ MOST_INPUTS_OF_A_MEAN = 4
 
 
 def certify(
-    study: Study, task: Task, method: str, samples: SampleSet, folder: Path
+    study: Study,
+    task: Task,
+    method: str,
+    samples: SampleSet,
+    folder: Path,
+    seeds: range | None = None,
 ) -> pd.DataFrame:
     """Certifies a method on one set of samples.
 
@@ -43,6 +50,8 @@ def certify(
         method: Name of the method.
         samples: What it learnt from.
         folder: Where a network's weights are.
+        seeds: Only these networks, beginning at a multiple of ``PROVED_TOGETHER`` from the first;
+            None: all.
 
     Returns:
         As ``certify_networks``; no row where a table of samples that form no full grid is asked
@@ -50,6 +59,8 @@ def certify(
     """
     if study.all_methods[method].kind == "network":
         network = StackedMLP.load(folder / "weights.safetensors")
+        if seeds:
+            network = network.select([i for i, one in enumerate(network.seeds) if one in seeds])
         return certify_networks(study, task, method, samples, network)
     arms = study.all_methods[method].training.all_seeds if samples.arms else (0,)
     rows = []
@@ -79,12 +90,28 @@ def certify_networks(
         One row per seed, columns as in ``columns.CERTIFICATES``. A bound that the checker does not
         prove is missing.
     """
-    sound = network.select(network.finite_rows())
-    stacks = [sound]
-    if samples.arms:  # each on its own arm
-        stacks = [sound.select([row]) for row in range(sound.n_seeds)]
+    together = 1 if samples.arms else PROVED_TOGETHER  # each on its own arm
+    sound = set(network.finite_rows())
+    stacks = [
+        network.select([row for row in range(first, first + together) if row in sound])
+        for first in range(0, network.n_seeds, together)
+    ]
     rows = [row for one in stacks for row in _rows(study, task, method, samples, one, one.seeds)]
     return _table(rows, samples, task)
+
+
+def joined(files: Sequence[Path], labels: Sequence[str]) -> pd.DataFrame:
+    """Tables of certificates of some seeds each as the one that all together would have.
+
+    Args:
+        files: The tables (CSV), which are not read as numbers, so that none changes.
+        labels: The sets of samples, in the order of the table.
+    """
+    tables = [pd.read_csv(intact(file), dtype=str, keep_default_na=False) for file in files]
+    rank = {label: place for place, label in enumerate(labels)}
+    whole = pd.concat(tables).reset_index(drop=True)
+    order = pd.DataFrame({"label": whole["label"].map(rank), "seed": whole["seed"].astype(int)})
+    return whole.loc[order.sort_values(["label", "seed"], kind="stable").index]
 
 
 def _rows(

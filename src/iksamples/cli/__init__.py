@@ -4,11 +4,8 @@ import sys
 
 import typer
 
-from iksamples.cli import ask, certify, fit_arm, next, readings, size, steps
-from iksamples.cli.common import (
-    app,
-    say,
-)
+from iksamples.cli import ask, certify, fit_arm, next, readings, shown, size, steps
+from iksamples.cli.common import app, say
 from iksamples.errors import IksamplesError
 
 

@@ -44,6 +44,9 @@ Results = Annotated[
 SamplesFiles = Annotated[
     list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file each.")
 ]
+Seeds = Annotated[
+    str | None, typer.Option(help="Only these seeds, first and last: 0-49 for 50 of them.")
+]
 MethodName = Annotated[str, typer.Option(help="Which of the study's methods.")]
 MethodFolder = Annotated[
     Path,
@@ -154,6 +157,16 @@ def require_one_of(known: Iterable[str], name: str, what: str) -> None:
     """Stops at a name that is not known."""
     if name not in known:
         raise IksamplesError(f"{what} '{name}'; there are {', '.join(known)}.")
+
+
+def seed_range(text: str | None) -> range | None:
+    """The seeds that ``--seeds`` names; None: all."""
+    if text is None:
+        return None
+    first, dash, last = text.partition("-")
+    if not (dash and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise IksamplesError(f"--seeds {text}: say the first and the last seed, such as 0-49.")
+    return range(int(first), int(last) + 1)
 
 
 def require_feasible(study: "Study", task: "Task") -> None:

@@ -1,6 +1,5 @@
-"""One command per step of the workflow, each usable by hand on files."""
+"""One command per step of the workflow that computes, each usable by hand on files."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from iksamples.cli.common import (
     Output,
     Results,
     SamplesFiles,
+    Seeds,
     StudyFile,
     app,
     load_samples,
@@ -20,10 +20,11 @@ from iksamples.cli.common import (
     require_feasible,
     require_one_of,
     say,
+    seed_range,
     write_tables,
 )
 from iksamples.errors import IksamplesError
-from iksamples.files import checked, kept_file
+from iksamples.files import checked, kept_file, whole_file
 
 
 @app.command()
@@ -56,18 +57,37 @@ def train(
     study_file: StudyFile,
     samples_files: SamplesFiles,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder that gets <method>/<samples>/.")
-    ],
+        Path | None,
+        typer.Option("--output", "-o", help="Folder that gets <method>/<samples>/."),
+    ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(help="Folder of trained seeds; a seed that is there is not trained again."),
     ] = None,
+    seeds: Seeds = None,
+    others: Annotated[
+        list[Path] | None,
+        typer.Option("--trained", help="Another such folder, which is only read; repeatable."),
+    ] = None,
 ) -> None:
-    """Train all seeds of every network of the study on each set of samples."""
+    """Train all seeds of every network of the study on each set of samples.
+
+    A part of the seeds goes to --cache alone, for a call that gets all such folders as --trained.
+    """
     from iksamples.study import read_study
     from iksamples.training.run import train_study
 
-    train_study(read_study(study_file), load_samples(samples_files), output, cache, progress=True)
+    if (output is None) == (seeds is None) or not (output or cache):
+        raise IksamplesError("train: give --output for all seeds, or --seeds and --cache for some.")
+    train_study(
+        read_study(study_file),
+        load_samples(samples_files),
+        output,
+        cache,
+        progress=True,
+        seeds=seed_range(seeds),
+        others=others or (),
+    )
 
 
 @app.command()
@@ -148,26 +168,36 @@ def prove(
     method: MethodName,
     folder: MethodFolder,
     output: Output,
+    seeds: Seeds = None,
+    proved: Annotated[
+        list[Path] | None,
+        typer.Option(help="Only join these tables, of some seeds each; repeatable."),
+    ] = None,
 ) -> None:
     """Prove the worst and the mean error of a method over the workspace, network by network."""
     import pandas as pd
 
-    from iksamples.certify.step import certify
+    from iksamples.certify.step import certify, joined
     from iksamples.results import certified
     from iksamples.study import read_study
     from iksamples.task import study_task
 
     study = read_study(study_file)
     require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
-    all_samples = load_samples(samples_files)
-    task = study_task(study, all_samples[0].region)
-    rows = [
-        certify(study, task, method, samples, folder / samples.label)
-        for samples in all_samples
-        if samples.design in study.designs(method)
-    ]
-    with kept_file(output) as file:
-        pd.concat(rows).to_csv(file, index=False)
+    if proved:
+        table = joined(proved, [file.stem for file in samples_files])
+    else:
+        all_samples, some = load_samples(samples_files), seed_range(seeds)
+        task = study_task(study, all_samples[0].region)
+        rows = [
+            certify(study, task, method, samples, folder / samples.label, some)
+            for samples in all_samples
+            if samples.design in study.designs(method)
+        ]
+        table = pd.concat(rows)
+    # A part is there until it is joined, and its digest would stay.
+    with whole_file(output) if seeds else kept_file(output) as file:
+        table.to_csv(file, index=False)
 
 
 @app.command("map")
@@ -318,82 +348,3 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         found.append(check)
     with kept_file(output) as file:
         file.write_text(to_json(found), encoding="utf-8")
-
-
-@app.command()
-def track(
-    study_file: StudyFile,
-    results: Results,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="What was logged (JSON); by default tracking.json."),
-    ] = None,
-    or_later: Annotated[
-        bool,
-        typer.Option(
-            "--or-later",
-            help="Where the tracking store cannot be used, say how to log the study later, and end "
-            "without an error.",
-        ),
-    ] = False,
-) -> None:
-    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
-    from iksamples.study import read_study
-    from iksamples.tracking.store import StoreError
-    from iksamples.tracking.track import put_off
-    from iksamples.tracking.track import track as log_study
-
-    study, output = read_study(study_file), output or results / "tracking.json"
-    try:
-        log_study(study, results, output)
-    except StoreError as error:
-        if not or_later:
-            raise
-        command = ["iksamples", "track", str(study_file), "--results", str(results)]
-        put_off(study, error, shlex.join(command), output)
-        say(f"Warning: {error}\nAll else goes on. To log this study later:", err=True)
-        say(f"  {shlex.join(command)}", err=True)
-
-
-@app.command()
-def record(
-    study_file: StudyFile,
-    results: Results,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder that gets a file for each path.")
-    ],
-    path: Annotated[
-        list[str] | None, typer.Option(help="Only this path of the study; can be repeated.")
-    ] = None,
-) -> None:
-    """Record the arm drawing each path, all grids in one file for the Rerun viewer."""
-    from iksamples.recording.record import record_path
-    from iksamples.results import cells
-    from iksamples.study import read_study
-
-    study = read_study(study_file)
-    for name in path or ():
-        require_one_of(study.evaluation.paths, name, f"{study_file}: no path")
-    for name in path or study.evaluation.paths:
-        with kept_file(output / f"{name}.rrd") as file:
-            record_path(study, name, cells(study, results), file)
-
-
-@app.command()
-def report(
-    study_file: StudyFile,
-    results: Results,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
-    command: Annotated[
-        str, typer.Option(help="What the report says to type to run the study.")
-    ] = "snakemake --cores 2",
-) -> None:
-    """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
-    from iksamples.report.recorded import write_recorded
-    from iksamples.report.write import write_front_page, write_report
-    from iksamples.study import read_study
-
-    study = read_study(study_file)
-    write = write_recorded if study.samples.recorded else write_report
-    write(study, results, output, command)
-    write_front_page(output.parent, output.parent.parent / "docs" / "studies")

@@ -20,5 +20,5 @@ from iksamples.study.evaluation import (
 from iksamples.study.reading import parse_study, read_study
 from iksamples.study.recorded import RECORDED, TENSOR, Design, Recorded
 from iksamples.study.sections import Asked, Robot, Section, Workspace
-from iksamples.study.study import NETWORK, Readings, Study, Tracking
+from iksamples.study.study import NETWORK, PROVED_TOGETHER, Readings, Study, Tracking
 from iksamples.study.training import HeldOut, Method, MethodKind, Network, Training

@@ -43,8 +43,13 @@ class Readings(Section):
 NETWORK = "network"
 """Name of the method that a study's own ``network`` and ``training`` sections describe."""
 
-_FOLDERS = ("benchmarks", "cache", "floor", "fresh", "logs", "recordings", "samples")
+_FOLDERS = ("benchmarks", "cache", "floor", "fresh", "logs", "parts", "recordings", "samples")
 """What lies in the results beside the folders of the methods."""
+
+
+PROVED_TOGETHER = 50
+"""Networks that are searched together for their worst cases. What is found depends in its last
+digits on who is searched beside, so that jobs are cut only between them."""
 
 
 class Tracking(Section):
@@ -86,6 +91,14 @@ class Study(Section):
     tolerance: Tolerance = Tolerance()
     replication: Replication = Replication()
     tracking: Tracking = Tracking()
+    seeds_per_job: int | None = Field(
+        None,
+        ge=PROVED_TOGETHER,
+        le=100_000,
+        multiple_of=PROVED_TOGETHER,
+        description="Seeds that one job trains, on all samples, or proves; null: as many as take "
+        "about ten minutes, which for most studies are all. No number depends on it.",
+    )
     paper: bool = Field(
         False,
         description="Whether this is the paper's own case (arXiv 2605.23583): its bounds, its "
@@ -174,6 +187,7 @@ class Study(Section):
             "paper": self.paper,
             "arm": self.arm,
             "replication.seeds": self.replication.seeds,
+            "seeds_per_job": self.seeds_per_job,
             "tolerance.where": self.tolerance.where != "workspace",
             "tolerance.best_of": self.tolerance.best_of > 1,
         }.items():
@@ -300,7 +314,7 @@ class Study(Section):
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that name the settings that numbers depend on."""
-        apart = {"title", "tracking", "replication"}
+        apart = {"title", "tracking", "replication", "seeds_per_job"}
         text = json.dumps(self.model_dump(mode="json", exclude=apart), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -37,9 +37,10 @@ SEEDS_AT_ONCE = 1024
 def train(
     study: Study,
     samples: SampleSet,
-    folder: Path,
+    folder: Path | None,
     cache: Path | None = None,
     progress: bool = False,
+    others: Sequence[Path] = (),
 ) -> None:
     """Trains the study's seeds on a set of samples and writes the results.
 
@@ -51,18 +52,22 @@ def train(
         study: The study.
         samples: The samples.
         folder: Gets ``weights.safetensors``, ``snapshots.safetensors``, ``history.parquet`` and
-            ``members.parquet``.
+            ``members.parquet``; None: the seeds are only kept in the cache.
         cache: Folder of trained seeds; None: keep none.
         progress: Report on stderr: a bar in a terminal, else a line.
+        others: Further caches, which are read and not changed.
     """
     engine = choose_engine(study, len(samples.joint_space))
-    store = Cache(cache, cache_key(study, samples, engine))
-    records = store.load(study.seeds)
+    key = cache_key(study, samples, engine)
+    store, records = Cache(cache, key), list[Record]()
+    for place in (cache, *others):
+        found = {int(seed) for record in records for seed in record.seeds}
+        records += Cache(place, key).load([seed for seed in study.seeds if seed not in found])
     known = {int(seed) for record in records for seed in record.seeds}
     seeds = [seed for seed in study.seeds if seed not in known]
-    name = samples.label
-    if folder.name == name:  # <method>/<samples>
-        name = f"{folder.parent.name}/{name}"
+    name, place = samples.label, folder or cache
+    if place and place.name == name:  # <method>/<samples>
+        name = f"{place.parent.name}/{name}"
     if seeds:
         # Before the clock starts: it takes longer than most trainings.
         import iksamples.training.module  # noqa: F401
@@ -75,7 +80,8 @@ def train(
             records.append(record)
     whole = Record.join(records).select(study.seeds)
     store.settle(whole)
-    write_files(folder, pose_problem(study, samples, study.seeds), samples, whole)
+    if folder:
+        write_files(folder, pose_problem(study, samples, study.seeds), samples, whole)
     if progress and not bar:
         took = f"{time.perf_counter() - start:.1f} s" if seeds else "nothing new"
         kept = f" ({len(known)} from the cache)" if known else ""
@@ -155,22 +161,41 @@ def _bar(name: str, total: int, progress: bool) -> Any:
 def train_study(
     study: Study,
     sample_sets: Sequence[SampleSet],
-    output: Path,
+    output: Path | None,
     cache: Path | None = None,
     progress: bool = False,
+    *,
+    seeds: range | None = None,
+    others: Sequence[Path] = (),
 ) -> None:
-    """Trains every network of a study on every set of samples.
+    """Trains every network of a study on every set of samples, or a part of the seeds.
 
     Args:
         study: The study.
         sample_sets: The samples.
-        output: Gets a folder ``<method>/<samples>`` for each.
+        output: Gets a folder ``<method>/<samples>`` for each; None: seeds are only kept in the
+            cache.
         cache: Folder of trained seeds, one inside it for each of these; None: keep none.
         progress: Report on stderr.
+        seeds: Only these; None: all.
+        others: Further caches, such as those of jobs that trained a part each.
     """
     for method, samples, own in _trainings(study, sample_sets):
+        if seeds:
+            some = [seed for seed in own.seeds if seed in seeds]
+            if not some:
+                continue
+            part = {"first_seed": some[0], "seeds": len(some)}
+            own = own.model_copy(update={"training": own.training.model_copy(update=part)})
         place = Path(method) / samples.label
-        train(own, samples, output / place, cache / place if cache else None, progress)
+        train(
+            own,
+            samples,
+            output / place if output else None,
+            cache / place if cache else None,
+            progress,
+            [other / place for other in others],
+        )
 
 
 def trained_before(study: Study, sample_sets: Sequence[SampleSet], cache: Path) -> dict[str, int]:
