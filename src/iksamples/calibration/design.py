@@ -20,6 +20,7 @@ from iksamples.errors import IksamplesError
 CANDIDATES = 400
 """Poses out of which some are chosen."""
 _NEWTON_STEPS = 60
+_THERE_MM = 1e-6
 _CAP = 0.3
 _DRAWS = 20
 
@@ -175,15 +176,20 @@ def postures(
 
 def _brought(chain: SerialChain, joints: Floats, axes: list[int], x: Floats) -> Floats:
     """The postures near to some that have the tool in some points; NaN where none is found."""
+    weight = np.where(np.array(chain.joint_units) == "mm", 100.0, 1.0)
+    joints, left = joints.copy(), np.arange(len(joints))
     for _ in range(_NEWTON_STEPS):
-        off = x - chain.forward_mm(joints)[:, axes]
-        jacobian = chain.jacobian_mm(joints)[:, axes]
-        step = (np.linalg.pinv(jacobian, rcond=1e-6) @ off[..., None])[..., 0]
-        weight = np.where(np.array(chain.joint_units) == "mm", 100.0, 1.0)
+        off = x[left] - chain.forward_mm(joints[left])[:, axes]
+        far = np.abs(off).max(axis=1) >= _THERE_MM
+        left, off = left[far], off[far, :, None]
+        if not len(left):
+            break
+        jacobian = chain.jacobian_mm(joints[left])[:, axes]
+        step = (np.linalg.pinv(jacobian, rcond=1e-6) @ off)[..., 0]
         largest = np.max(np.abs(step / weight), axis=1, keepdims=True)
-        joints = joints + step * np.minimum(1.0, _CAP / np.maximum(largest, _CAP))
-    off = np.abs(x - chain.forward_mm(joints)[:, axes]).max(axis=1, keepdims=True)
-    return np.where(off < 1e-6, joints, np.nan)
+        joints[left] += step * np.minimum(1.0, _CAP / np.maximum(largest, _CAP))
+    joints[left] = np.nan
+    return joints
 
 
 def tour(joints: Floats, start: Floats) -> NDArray[np.intp]:
