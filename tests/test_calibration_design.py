@@ -18,8 +18,10 @@ from iksamples.calibration.rounds import next_round
 from iksamples.calibration.worst import Measured, judged_effects, worst_mm
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
+from iksamples.recorded.poses import Calibration
 from iksamples.region import Region
 from iksamples.samples.record import record_samples, region_points
+from iksamples.study import parse_study
 
 
 PRIOR = Prior()
@@ -124,6 +126,21 @@ def test_postures_are_inside_the_limits_and_have_the_tool_there():
     assert np.ptp(q, axis=0).min() > 1.5
     with pytest.raises(IksamplesError, match="only 0 have the tool there"):
         postures(panda, 4, np.random.default_rng(0), places_mm=np.full((1, 3), 5e3))
+
+
+@pytest.mark.slow
+def test_no_posture_is_much_worse_than_those_that_are_judged():
+    study = parse_study({"name": "s", "robot": {"urdf": "config/robots/panda.urdf"}})
+    asked = Calibration.of(study, None)
+    before = asked.fitted(None)
+    q = postures(asked.drawing, 12, np.random.default_rng(7))
+    known = before.expecting(Measured(0.1).informs(before, q))
+    generator = np.random.default_rng(8)
+    many = generator.uniform(asked.drawing.lower, asked.drawing.upper, (40_000, 7))
+    effects = judged_effects(asked.target, asked.tolerance, known, many)
+    order = np.argsort(-np.sum((effects @ known.root) ** 2, axis=(1, 2)))
+    worst = worst_mm(known, effects[order[:1000]], draws=1000)
+    assert worst_mm(known, asked.judged(known), draws=1000) > 0.93 * worst
 
 
 def test_a_tour_is_short(rng):
