@@ -281,12 +281,12 @@ def test_what_float32_cannot_hold_is_no_traceback(net, extreme, said):
 def test_progress_is_said_after_a_second(capsys):
     import time
 
-    from iksamples.cli.certify import _shown
+    from iksamples.cli.common import shown
 
-    with _shown("thinking"):
+    with shown("thinking"):
         time.sleep(0.2)
     assert capsys.readouterr().err == ""
-    with _shown("thinking"):
+    with shown("thinking"):
         time.sleep(1.3)
     captured = capsys.readouterr()
     assert "1 s: thinking ..." in captured.err

@@ -490,7 +490,9 @@ def test_a_study_tracked_twice_at_once_is_there_once(
     (folder / "study.json").write_text(small.model_dump_json())
     call = [command, "track", folder / "study.json", "--results", folder]
     both = [subprocess.Popen(call, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    assert [(one.communicate()[1], one.returncode) for one in both] == [("", 0)] * 2
+    said = [one.communicate()[1].splitlines() for one in both]
+    assert all(" s: logging the runs to sqlite:" in line for lines in said for line in lines)
+    assert [one.returncode for one in both] == [0, 0]
     assert len(all_runs(uri)) == RUNS
     manifest = json.loads((folder / "tracking.json").read_text())
     assert manifest["runs"] == {name: run.info.run_id for name, run in current(uri).items()}
@@ -513,6 +515,28 @@ def test_what_cannot_be_logged_now_is_logged_later(
         shlex.split(manifest["command"]), check=True, env={**os.environ, "PATH": ON_PATH}
     )
     assert len(current(uri)) == RUNS
+
+
+def test_what_is_waited_for_is_said_and_not_for_ever(
+    small: Study, results: list[Cell], command: str
+) -> None:
+    """A server that takes calls and does not answer them."""
+    folder = results[0].results
+    collect(small, folder).to_parquet(folder / "runs.parquet")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        uri = f"http://me:s3cret@127.0.0.1:{silent.getsockname()[1]}"
+        (folder / "study.json").write_text(small.model_dump_json())
+        environment = {**os.environ, "MLFLOW_HTTP_REQUEST_TIMEOUT": "3"}
+        settings = json.loads((folder / "study.json").read_text()) | {"tracking": {"uri": uri}}
+        (folder / "study.json").write_text(json.dumps(settings))
+        call = [command, "track", folder / "study.json", "--results", folder]
+        done = subprocess.run(call, capture_output=True, text=True, env=environment)
+    shown = uri.replace("s3cret", "***")
+    *waiting, last = done.stderr.splitlines()
+    assert waiting
+    assert all(line.endswith(f" s: logging the runs to {shown} ...") for line in waiting)
+    assert last.startswith(f"Error: tracking.uri: cannot use {shown} (")
+    assert done.returncode == 2
 
 
 def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell]) -> None:

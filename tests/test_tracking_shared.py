@@ -78,6 +78,10 @@ def require_all_once(uri: str, owners: list[str], name: str = "small") -> None:
             assert parent.info.run_name == content.parent
             assert parent.data.tags["iksamples.owner"] == owner
         assert {file.path for file in client.list_artifacts(run.info.run_id)} == set(content.texts)
+        with tempfile.TemporaryDirectory() as fetched:
+            for name, text in content.texts.items():
+                file = client.download_artifacts(run.info.run_id, name, fetched)
+                assert Path(file).read_text() == text
 
 
 @pytest.fixture(scope="module")
@@ -173,14 +177,20 @@ class Writer:
 
 @pytest.fixture(scope="module")
 def writers(tmp_path_factory: pytest.TempPathFactory):
-    """Two, each in a folder of its own."""
-    made = [Writer(tmp_path_factory.mktemp(folder)) for folder in ("here", "there")]
+    """Three: the second in the first one's folder, the third in another."""
+    here, there = (tmp_path_factory.mktemp(folder) for folder in ("here", "there"))
+    made = [Writer(folder) for folder in (here, here, there)]
     yield made
     for one in made:
         one.process.kill()
         one.process.wait()
         one.process.stdin.close()
         one.process.stdout.close()
+
+
+@pytest.fixture(params=["one folder", "two folders"])
+def pair(writers: list[Writer], request: pytest.FixtureRequest) -> list[Writer]:
+    return writers[:2] if request.param == "one folder" else writers[1:]
 
 
 def both(writers: list[Writer], *tasks: tuple[str, str, str]) -> None:
@@ -190,10 +200,16 @@ def both(writers: list[Writer], *tasks: tuple[str, str, str]) -> None:
 
 
 @pytest.mark.parametrize("trial", range(10 if os.environ.get("IKSAMPLES_NIGHTLY") else 2))
-def test_two_at_once_on_a_store_that_is_not_there_yet(writers, tmp_path: Path, trial: int) -> None:
+def test_two_at_once_on_a_store_that_is_not_there_yet(pair, tmp_path: Path, trial: int) -> None:
+    """In turn with one study of two owners, and two of one."""
     uri = f"sqlite:///{tmp_path}/mlflow.db"
-    both(writers, (uri, "me", "small"), (uri, "you", "small"))
-    require_all_once(uri, ["me", "you"])
+    if trial % 2:
+        both(pair, (uri, "me", "small"), (uri, "me", "other"))
+        for name in ("small", "other"):
+            require_all_once(uri, ["me"], name)
+    else:
+        both(pair, (uri, "me", "small"), (uri, "you", "small"))
+        require_all_once(uri, ["me", "you"])
     assert {path.name for path in tmp_path.iterdir()} == {"mlflow.db"}
 
 
@@ -226,11 +242,11 @@ def postgres() -> Iterator[str]:
 
 
 def test_a_server_on_postgresql_keeps_what_two_log_at_once(
-    postgres: str, writers: list[Writer], tmp_path: Path
+    postgres: str, pair: list[Writer], tmp_path: Path
 ) -> None:
     """With runs of one name, and each with a further writer of its own later on."""
     with mlflow_server(tmp_path, postgres) as server:
-        both(writers, (server.uri, "me", "small"), (server.uri, "you", "small"))
+        both(pair, (server.uri, "me", "small"), (server.uri, "you", "small"))
         require_all_once(server.uri, ["me", "you"])
-        both(writers, (server.uri, "you", "small"), (server.uri, "me", "small"))
+        both(pair, (server.uri, "you", "small"), (server.uri, "me", "small"))
         require_all_once(server.uri, ["me", "you"])

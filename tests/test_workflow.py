@@ -2,8 +2,10 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from tracking_server import mlflow_server
 from watched_network import watch
 from workflow_project import ROOT, TINY, project_copy, snakemake
 
@@ -22,6 +25,7 @@ from iksamples.evaluation.paths import waypoints
 from iksamples.results import cells
 from iksamples.study import read_study
 from iksamples.task import study_task
+from iksamples.tracking.store import connect
 
 
 pytestmark = pytest.mark.slow
@@ -144,6 +148,39 @@ def test_table_has_the_documented_columns_and_agrees_with_the_weights(project, m
         assert row.error_over_spacing == pytest.approx(
             means.mean() / (60 / (row.samples_per_axis - 1))
         )
+
+
+@pytest.mark.filterwarnings("ignore:starlette.middleware.wsgi")
+def test_a_run_ends_without_its_server_and_one_command_logs_it_later(project, tmp_path):
+    folder = tmp_path / "project"
+    shutil.copytree(project, folder)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server = f"tracking={{'uri': 'http://127.0.0.1:{port}'}}"
+    done = snakemake(folder, "--cores", "2", "--configfile", TINY, "--config", server)
+    assert "(100%) done" in done.stderr
+    manifest = json.loads((folder / "results/tiny/tracking.json").read_text())
+    last = done.stderr.split("tiny: done.")[1]
+    assert f"Not logged  {manifest['reason']}" in last
+    assert f"Log it later by\n              {manifest['command']}\n" in last
+    command = shlex.split(manifest["command"])
+    command[0] = str(Path(sys.executable).with_name(command[0]))
+    report = ["report", "results/tiny/study.json", "--results", "results/tiny", "-o", "later"]
+    subprocess.run([command[0], *report], cwd=folder, check=True)
+    assert manifest["command"] in (folder / "later/README.md").read_text()
+    assert subprocess.run(command, cwd=folder, capture_output=True).returncode == 2  # still down
+    with mlflow_server(tmp_path, f"sqlite:///{tmp_path}/served.db", port) as running:
+        for _ in range(2):  # which changes nothing the second time
+            subprocess.run(command, cwd=folder, check=True)
+        client = connect(running.uri)
+        [found] = [one for one in client.search_experiments() if one.name == "tiny"]
+        runs = client.search_runs([found.experiment_id])
+        assert {run.info.status for run in runs} == {"FINISHED"}
+        logged = json.loads((folder / "results/tiny/tracking.json").read_text())["runs"]
+        assert sorted(logged.values()) == sorted(run.info.run_id for run in runs)
+        assert {"network", "network, grid2", "network, grid3"} <= logged.keys()
+    subprocess.run([command[0], *report], cwd=folder, check=True)
+    assert running.uri in (folder / "later/README.md").read_text()
 
 
 def test_a_finished_study_has_nothing_to_be_done(project):

@@ -50,12 +50,13 @@ class Server:
 
 
 @contextmanager
-def mlflow_server(folder: Path, database: str) -> Iterator[Server]:
+def mlflow_server(folder: Path, database: str, port: int = 0) -> Iterator[Server]:
     """Serves a store from this process.
 
     Args:
         folder: Gets the artifacts.
         database: The store behind the server.
+        port: Where it listens; 0: on a free one.
     """
     import mlflow
     from mlflow.server import app, handlers
@@ -72,7 +73,7 @@ def mlflow_server(folder: Path, database: str) -> Iterator[Server]:
             patch.setenv(name, value)
         for name in ("_tracking_store", "_artifact_repo"):
             patch.setattr(handlers, name, None)
-        http = make_server("127.0.0.1", 0, app, threaded=True, request_handler=_Quiet)
+        http = make_server("127.0.0.1", port, app, threaded=True, request_handler=_Quiet)
         server = Server(f"http://127.0.0.1:{http.server_port}")
         http.app = server.wrap(http.app)
         thread = threading.Thread(target=http.serve_forever)

@@ -1,10 +1,6 @@
 """`iksamples certify`: the largest error of anybody's network on anybody's arm, proved."""
 
 import math
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +10,7 @@ from typer.core import TyperCommand
 from iksamples.cli.common import (
     app,
     say,
+    shown,
 )
 from iksamples.errors import IksamplesError
 
@@ -213,7 +210,7 @@ def certify(
     say(f"Read {weights}: {reading.order}.")
     searches = network.n_seeds * (1 if target.orientation == "free" else 2)
     most = f"the search takes at most {time_limit * searches:g} s, its check comes on top"
-    with _shown(f"proving; {most}"):
+    with shown(f"proving; {most}"):
         proved = prove(
             reading,
             chain,
@@ -315,23 +312,3 @@ def _numbers(option: str, text: str | None) -> "NDArray[np.float64] | None":
     if strange is not None or not words:
         raise IksamplesError(f"{option}: '{strange or text}' is not a number.")
     return np.array([float(word) for word in words])
-
-
-@contextmanager
-def _shown(what: str) -> Iterator[None]:
-    """Says on stderr what is taking time, after a second and then every ten."""
-    began, done = time.monotonic(), threading.Event()
-
-    def tell() -> None:
-        wait = 1.0
-        while not done.wait(wait):
-            say(f"{time.monotonic() - began:.0f} s: {what} ...", err=True)
-            wait = 10.0
-
-    teller = threading.Thread(target=tell, daemon=True)
-    teller.start()
-    try:
-        yield
-    finally:
-        done.set()
-        teller.join()

@@ -1,7 +1,9 @@
 """What the commands share: the application, its options, and opening and writing files."""
 
+import threading
+import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,6 +76,25 @@ Columns = Annotated[
 def say(text: str, err: bool = False) -> None:
     """Prints lines; names of others that they hold cannot steer a terminal."""
     typer.echo("\n".join(map(one_line, text.split("\n"))), err=err)
+
+
+@contextmanager
+def shown(what: str, after_s: float = 1.0) -> Iterator[None]:
+    """Says on stderr what is taking time, after a while and then every ten seconds."""
+    began, done = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        wait_s = after_s
+        while not done.wait(wait_s):
+            say(f"{time.monotonic() - began:.0f} s: {what} ...", err=True)
+            wait_s = 10.0
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
 
 
 def columns_of(said: list[str] | None) -> dict[str, str]:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from iksamples.cli.common import Results, StudyFile, app, require_one_of, say
+from iksamples.cli.common import Results, StudyFile, app, require_one_of, say, shown
 from iksamples.files import kept_file
 
 
@@ -29,13 +29,16 @@ def track(
 ) -> None:
     """Log the study, its variants and sizes to MLflow; what is there already is kept."""
     from iksamples.study import read_study
+    from iksamples.study.sections import without_password
     from iksamples.tracking.store import StoreError
-    from iksamples.tracking.track import put_off
+    from iksamples.tracking.track import put_off, tracking_uri
     from iksamples.tracking.track import track as log_study
 
     study, output = read_study(study_file), output or results / "tracking.json"
+    where = without_password(tracking_uri(study))
     try:
-        log_study(study, results, output)
+        with shown(f"logging the runs to {where}", after_s=5.0):
+            log_study(study, results, output)
     except StoreError as error:
         if not or_later:
             raise

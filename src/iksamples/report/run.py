@@ -82,6 +82,7 @@ def paths(data: ReportData) -> dict[str, Any]:
             shlex.join(["rerun", (data.results / "recordings" / f"{name}.rrd").as_posix()])
             for name in names
         ],
+        "put_off": data.tracking.get("command"),
         "server": uri if uri.startswith("http") else None,
         "mlflow": f"MLFLOW_DISABLE_TELEMETRY=true mlflow ui{local}",
     }
