@@ -17,6 +17,10 @@ from iksamples.task import Task, study_chain, study_task
 
 # A slow machine is no failure, and the same examples are tried everywhere.
 settings.register_profile("iksamples", deadline=None, derandomize=True)
+# What pytest tests/test_fuzz.py --hypothesis-profile=nightly asks for: others each time.
+settings.register_profile(
+    "nightly", deadline=None, max_examples=10_000, database=None, print_blob=True
+)
 settings.load_profile("iksamples")
 
 ROOT = Path(__file__).parents[1]

@@ -100,3 +100,11 @@ def test_what_a_stopped_writer_leaves_is_written_over_by_the_next(tmp_path, writ
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == -signal.SIGXFSZ, done.stderr
     assert [file.name for file in tmp_path.iterdir()] == [".unfinished-file"]
+
+
+def test_a_message_fits_the_screen_and_steers_no_terminal():
+    shown = str(IksamplesError("a\x1b[2J\0\u202e\ud800\r\u2028é\nb" + "x" * 9000))
+    first, second = shown.split("\n")
+    assert first == "a [2J é"
+    assert second.startswith("bxxx")
+    assert len(second) < 1100

@@ -147,3 +147,13 @@ def test_a_missing_column_and_a_tolerance_of_another_unit(tmp_path):
 )
 def test_three_figures(value, text):
     assert number(value) == text
+
+
+def test_sizes_with_seeds_of_their_own_are_judged_as_others_are(tmp_path):
+    """A curve whose seeds are numbered through has none that all sizes have."""
+    table = curve()
+    through = table.assign(seed=np.arange(len(table)))
+    same = [size(tmp_path / "c.csv", one, "--tolerance-mm", "1.5") for one in (table, through)]
+    assert [one.exit_code for one in same] == [0, 0]
+    for line in same[0].output.splitlines()[:2]:
+        assert line in same[1].output

@@ -3,19 +3,37 @@
 import re
 
 
+_STEERS = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+"
+)
+_MOST = 1000
+
+
 class IksamplesError(Exception):
     """Something a user can put right: what is wrong, where, and what to do.
 
     The command line prints the message alone (no traceback) and exits with status 2.
     """
 
-
-_STEERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]+")
+    def __init__(self, message: str) -> None:
+        """Keeps the message: lines that steer no terminal and fill no screen."""
+        super().__init__("\n".join(_shortened(one_line(line)) for line in message.split("\n")))
 
 
 def one_line(text: str) -> str:
     """Text of others as part of one line: a terminal, a comment or a page cannot be steered by it.
 
-    What ends a line, controls a terminal or turns the direction of reading becomes a space.
+    What ends a line, controls a terminal, turns the direction of reading or is half a letter
+    becomes a space.
     """
     return _STEERS.sub(" ", text)
+
+
+def in_a_line(error: BaseException) -> str:
+    """What the system or another library says is wrong."""
+    said = getattr(error, "strerror", None) or " ".join(str(error).split())[:300]
+    return said or type(error).__name__
+
+
+def _shortened(line: str) -> str:
+    return line if len(line) <= _MOST else f"{line[: _MOST * 3 // 5]} ... {line[-_MOST // 3 :]}"

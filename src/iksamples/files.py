@@ -6,11 +6,16 @@ later; numbers read from such a file would be wrong without a sign of it.
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
+
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @contextmanager
@@ -83,12 +88,47 @@ def read_bytes(path: str | Path, most: int, what: str) -> bytes:
         with Path(path).open("rb") as file:
             content = file.read(most + 1)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise IksamplesError(f"{path}: cannot read {what} ({reason}).") from None
+        raise IksamplesError(f"{path}: cannot read {what} ({in_a_line(error)}).") from None
     if len(content) > most:
         size = f"{most // 10**6} MB" if most >= 10**6 else f"{most // 1000} kB"
         raise IksamplesError(f"{path}: over {size} is no {what.removeprefix('the ')}.")
     return content
+
+
+def stored_table(path: str | Path, needed: Sequence[str] = (), **how: Any) -> "pd.DataFrame":
+    """A table of results: CSV where its name says so, else Parquet.
+
+    Args:
+        path: The file.
+        needed: Columns that have to be there.
+        **how: What else pandas needs to know.
+
+    Raises:
+        IksamplesError: There is none, or it is damaged, no such table, or of another version.
+    """
+    import pandas as pd
+
+    path = checked(path)
+    read = pd.read_csv if path.suffix == ".csv" else pd.read_parquet
+    try:
+        table: pd.DataFrame = read(path, **how)
+    except FileNotFoundError:
+        raise IksamplesError(
+            f"{path}: there is no such file. Either the name is wrong, or the study is not "
+            "finished: run it to its end first."
+        ) from None
+    # pandas and pyarrow each raise kinds of their own for what is not whole.
+    except Exception as error:
+        raise IksamplesError(
+            f"{path}: cannot be read ({in_a_line(error)}). Run the study again."
+        ) from None
+    missing = [name for name in needed if name not in table.columns]
+    if missing:
+        raise IksamplesError(
+            f"{path}: no column {', '.join(missing)}; it is from another version. Run the study "
+            "again."
+        )
+    return table
 
 
 def is_intact(path: Path) -> bool:

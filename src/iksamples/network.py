@@ -3,13 +3,14 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import checked
 
 
@@ -104,15 +105,41 @@ class StackedMLP:
 
     @classmethod
     def load(cls, path: str | Path) -> "StackedMLP":
-        """Reads what ``save`` wrote."""
+        """Reads what ``save`` wrote.
+
+        Raises:
+            IksamplesError: The file cannot be read or holds no such stack.
+        """
         tensors, header = read_tensors(path)
-        return cls(
-            *layers_of(tensors),
-            header["activation"],
-            tensors["offset"],
-            tensors["scale"],
-            tuple(header["seeds"]),
+        try:
+            network = cls(
+                *layers_of(tensors),
+                header["activation"],
+                tensors["offset"],
+                tensors["scale"],
+                tuple(header["seeds"]),
+            )
+            network._require_sound()
+        except (KeyError, TypeError, ValueError):
+            raise IksamplesError(f"{path}: not a file of trained networks.") from None
+        return network
+
+    def _require_sound(self) -> None:
+        """Stops where the arrays do not fit together."""
+        widths = [len(self.offset), *(bias.shape[-1] for bias in self.biases)]
+        shapes = [(self.n_seeds, *ends) for ends in pairwise(widths)]
+        sound = (
+            [weight.shape for weight in self.weights] == shapes
+            and [bias.shape for bias in self.biases] == [(self.n_seeds, n) for n in widths[1:]]
+            and self.offset.shape == self.scale.shape == (widths[0],)
+            and all(array.dtype.kind == "f" for array in (*self.weights, *self.biases))
+            and all(array.dtype.kind == "f" for array in (self.offset, self.scale))
+            and all(isinstance(seed, int) for seed in self.seeds)
+            and self.activation in ACTIVATIONS
+            and min(self.n_seeds, *widths) > 0
         )
+        if not (sound and len(self.weights)):
+            raise ValueError
 
 
 def layer_tensors(weights: Sequence[NDArray], biases: Sequence[NDArray]) -> dict[str, NDArray]:
@@ -154,6 +181,8 @@ def read_tensors(path: str | Path) -> tuple[dict[str, NDArray], dict[str, Any]]:
         with safe_open(str(checked(path)), framework="numpy") as file:
             header = json.loads(file.metadata()["iksamples"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, KeyError, TypeError) as error:
-        raise IksamplesError(f"{path}: not a file of trained networks ({error}).") from None
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise IksamplesError(
+            f"{path}: not a file of trained networks ({in_a_line(error)})."
+        ) from None
     return tensors, header

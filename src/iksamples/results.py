@@ -1,12 +1,12 @@
 """Where a study's files lie: the one place that knows the results folder."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet
@@ -52,11 +52,9 @@ class Cell:
         """The trained networks of all seeds."""
         return StackedMLP.load(self.folder / "weights.safetensors")
 
-    def table(self, name: str) -> "pd.DataFrame":
+    def table(self, name: str, needed: Sequence[str] = ()) -> "pd.DataFrame":
         """One of the cell's tables: history, members, waypoints, errors, cube or bounds."""
-        import pandas as pd
-
-        return pd.read_parquet(checked(self.folder / f"{name}.parquet"))
+        return stored_table(self.folder / f"{name}.parquet", needed)
 
     @cached_property
     def sound_errors(self) -> "pd.DataFrame":

@@ -232,10 +232,8 @@ def read_answer(results: str | Path) -> Answer:
     try:
         answer = Answer.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise IksamplesError(
-            f"{path}: not an answer of this version ({where}: {first['msg']}). Run the study again."
+            f"{path}: not an answer of this version ({first_fault(error)}). Run the study again."
         ) from None
     if answer.version != VERSION:
         raise IksamplesError(
@@ -243,6 +241,12 @@ def read_answer(results: str | Path) -> Answer:
             "study again."
         )
     return answer
+
+
+def first_fault(error: ValidationError) -> str:
+    """Where a file is not as its model has it, and why."""
+    first = error.errors()[0]
+    return f"{'.'.join(str(part) for part in first['loc']) or 'the file'}: {first['msg']}"
 
 
 def newest(folder: str | Path) -> Path:

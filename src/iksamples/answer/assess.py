@@ -26,7 +26,7 @@ from iksamples.answer.sentences import floor_told, headline, of_itself, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.columns import RUNS
 from iksamples.evaluation.errors import CUBE, FLOOR
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.results import Cell
 from iksamples.stats import Floats, Interval, compare, seeds_needed
 from iksamples.study import NETWORK, Study
@@ -116,7 +116,7 @@ def read_floor(study: Study, results: str | Path) -> Floor | None:
         return None
     n, errors = len(study.arms), np.zeros(1)
     if not study.arm.repeats:
-        rows = pd.read_parquet(checked(Path(results) / FLOOR / "errors.parquet"))
+        rows = stored_table(Path(results) / FLOOR / "errors.parquet")
         rows["region"] = rows["region"].replace({CUBE: WORKSPACE})
         rows = rows.reindex(columns=list(RUNS)).assign(diverged=False)
         errors = outcomes(study, rows)["error_mm"].to_numpy(float)

@@ -14,7 +14,7 @@ from iksamples.columns import ANGLES, ERRORS, RUNS
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE, send
 from iksamples.evaluation.paths import count_waypoints
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells, certified, networks
 from iksamples.samples.dataset import SampleSet
@@ -27,6 +27,8 @@ WORKSPACE = "workspace"
 """The region that is the whole workspace; every other region is a path, by its name."""
 
 _KEYS = ["method", "label", "seed"]
+_NAMES = ("method", "design", "label", "region")
+_RUN = ["method", "design", "n_samples", "seed", "region"]
 _SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]
 _ROUNDING = 1e-4
@@ -87,12 +89,7 @@ def certificates(study: Study, results: str | Path) -> pd.DataFrame:
     frames = []
     for name in certified(study):
         file = Path(results) / name / "certificates.csv"
-        try:
-            frames.append(pd.read_csv(checked(file)))
-        except (OSError, ValueError) as error:
-            raise IksamplesError(
-                f"{file}: cannot be read ({error}). Run the study to its end."
-            ) from None
+        frames.append(stored_table(file, [*_KEYS, "verified"]))
     table = pd.concat(frames or [pd.DataFrame(columns=_KEYS)], ignore_index=True)
     if table.duplicated(_KEYS).any():
         raise IksamplesError(
@@ -105,18 +102,21 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     """What ``collect`` found, from the results folder of a finished study.
 
     Raises:
-        IksamplesError: There is no such file, or it is of another version.
+        IksamplesError: There is no such file, it is of another version, or a row is no run.
     """
     file = Path(results) / FILE
+    table = stored_table(file, tuple(RUNS))
     try:
-        table = pd.read_parquet(checked(file))
-    except (OSError, ValueError) as error:
-        raise IksamplesError(
-            f"{file}: cannot be read ({error}). Run the study to its end."
-        ) from None
-    missing = [name for name in RUNS if name not in table.columns]
-    if missing:
-        raise IksamplesError(f"{file}: no column {', '.join(missing)}. Run the study again.")
+        table[[name for name in RUNS if name not in _NAMES]].astype(float)
+        sizes = table[["n_samples", "n_trained", "seed", "n_points"]].to_numpy(float)
+        sound = bool((sizes == np.round(sizes)).all()) and not table[list(_RUN)].isna().any(
+            axis=None
+        )
+        sound = sound and not table.duplicated(_RUN).any() and len(table) > 0
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise IksamplesError(f"{file}: not as it was written. Run the study again.")
     return table
 
 
@@ -129,19 +129,7 @@ def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
 def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
     trained = cell.method in networks(study)
-    try:
-        errors = cell.table("errors").reset_index(drop=True)
-    except FileNotFoundError:
-        raise IksamplesError(
-            f"{cell.folder / 'errors.parquet'} is missing: the study is not finished. Run it to "
-            "its end."
-        ) from None
-    missing = [name for name in ERRORS if name not in errors.columns]
-    if missing:
-        raise IksamplesError(
-            f"{cell.folder / 'errors.parquet'}: no column {', '.join(missing)}; it is from an "
-            "earlier version. Run the study again."
-        )
+    errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
     sound = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
     learns = KINDS[study.all_methods[cell.method].kind].needs_samples
     n_samples = n_trained = samples.n_samples if learns else 0
@@ -232,9 +220,16 @@ def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
         tolerance, ``certified`` whether it is a proved upper bound, and ``attained_mm`` an error
         that is known to occur: the largest of what was measured and the proof's lower bound.
         ``confident_mm`` is as in ``runs``.
+
+    Raises:
+        IksamplesError: The runs are another study's.
     """
     tolerance = study.tolerance
+    strange = set(runs["method"]) - set(study.all_methods)
     rows = runs[runs["region"] == tolerance.where].reset_index(drop=True)
+    if strange or rows.empty:
+        what = f"a method '{min(strange)}'" if strange else f"no errors for {tolerance.where}"
+        raise IksamplesError(f"{FILE} has {what}: not a run of {study.name}. Run the study again.")
     statistic = "max" if tolerance.of == "worst" else tolerance.of
     # What is measured, what of it is proved, and millimetres for each unit of it.
     parts = [(f"error_{statistic}_mm", "sup_lower_mm", "sup_upper_mm", 1.0)]

@@ -86,13 +86,17 @@ def seen(study: Study, variant: Variant, rows: pd.DataFrame) -> tuple[Floats, Fl
         Numbers of samples, shape (sizes,), and errors that the required share of the trainings
         does not exceed [mm], shape (1 + resamples, sizes): as seen, and for seeds drawn again.
     """
-    matrix = errors_matrix(rows)
+    matrix, share = errors_matrix(rows), required_share(study.tolerance)
     errors = matrix.to_numpy(float)
+    if not len(errors):  # each size has seeds of its own, so none can be drawn again for all
+        sizes = {n: own["error_mm"] for n, own in rows.groupby("n_samples")}
+        curve = np.array([share_quantile(own, share) for own in sizes.values()], float)
+        return np.array(list(sizes), float), curve[None]
     again: Draws = np.arange(len(errors))[None]
     if is_random(study, variant.method) and len(errors) >= FEWEST_SEEDS:
         drawn = draws(len(errors), np.random.default_rng(STREAM), _RESAMPLES)
         again = np.concatenate([again, drawn])
-    curves = share_quantile(errors[again], required_share(study.tolerance), axis=1)
+    curves = share_quantile(errors[again], share, axis=1)
     return matrix.columns.to_numpy(float), curves
 
 

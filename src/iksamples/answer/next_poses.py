@@ -70,12 +70,7 @@ def next_poses(
 
 
 def _load(weights: Path, task: Task) -> StackedMLP:
-    from safetensors import SafetensorError
-
-    try:
-        network = StackedMLP.load(weights)
-    except (OSError, SafetensorError, AttributeError, KeyError, ValueError) as error:
-        raise IksamplesError(f"{weights}: not a file of trained networks ({error}).") from None
+    network = StackedMLP.load(weights)
     found = (network.weights[0].shape[1], network.biases[-1].shape[-1])
     if found != (len(task.x), len(task.q)):
         raise IksamplesError(

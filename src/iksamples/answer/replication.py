@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pandas as pd
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, ValidationError
 
-from iksamples.answer.answer import Answer, Part, VariantAnswer
+from iksamples.answer.answer import Answer, Part, VariantAnswer, first_fault
 from iksamples.answer.sizes import by_size
 from iksamples.errors import IksamplesError
 from iksamples.files import checked
@@ -156,8 +156,10 @@ def read_replications(results: str | Path) -> list[Replication]:
         return []
     try:
         return _LIST.validate_json(checked(file).read_bytes())
-    except ValueError as error:
-        raise IksamplesError(f"{file}: not of this version ({error}). Run it again.") from None
+    except ValidationError as error:
+        raise IksamplesError(
+            f"{file}: not of this version ({first_fault(error)}). Run the study again."
+        ) from None
 
 
 def to_json(found: list[Replication]) -> str:

@@ -20,7 +20,7 @@ from iksamples.certify.search import Certificate, certify_stack
 from iksamples.certify.table import Table
 from iksamples.columns import certificate_columns
 from iksamples.evaluation.errors import median_seed, networks_over_epochs
-from iksamples.files import checked as intact
+from iksamples.files import stored_table
 from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.network import StackedMLP
@@ -107,7 +107,7 @@ def joined(files: Sequence[Path], labels: Sequence[str]) -> pd.DataFrame:
         files: The tables (CSV), which are not read as numbers, so that none changes.
         labels: The sets of samples, in the order of the table.
     """
-    tables = [pd.read_csv(intact(file), dtype=str, keep_default_na=False) for file in files]
+    tables = [stored_table(file, dtype=str, keep_default_na=False) for file in files]
     rank = {label: place for place, label in enumerate(labels)}
     whole = pd.concat(tables).reset_index(drop=True)
     order = pd.DataFrame({"label": whole["label"].map(rank), "seed": whole["seed"].astype(int)})

@@ -6,7 +6,7 @@ import typer
 
 from iksamples.cli import ask, certify, fit_arm, next, readings, shown, size, steps
 from iksamples.cli.common import app, say
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 
 
 def main() -> None:
@@ -23,7 +23,7 @@ def main() -> None:
     except OSError as error:
         # A full disk, a folder that may not be written to.
         where = f"{error.filename}: " if error.filename else ""
-        say(f"Error: {where}{error.strerror or error}.", err=True)
+        say(f"Error: {where}{in_a_line(error)}.", err=True)
         sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():

@@ -24,7 +24,7 @@ from iksamples.cli.common import (
     write_tables,
 )
 from iksamples.errors import IksamplesError
-from iksamples.files import checked, kept_file, whole_file
+from iksamples.files import kept_file, stored_table, whole_file
 
 
 @app.command()
@@ -149,14 +149,11 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     study = read_study(study_file)
     for samples in load_samples(samples_files):
         cell = folder / samples.label
-        network, cube = (
-            StackedMLP.load(cell / "weights.safetensors"),
-            checked(cell / "cube.parquet"),
-        )
-        rows = []
+        network, rows = StackedMLP.load(cell / "weights.safetensors"), []
         for part in in_parts(network, study.evaluation.cube_points, 2**18):
             of_these = [("seed", "in", list(part.seeds))]
-            rows.append(audit(study, samples, part, pd.read_parquet(cube, filters=of_these)))
+            cube = stored_table(cell / "cube.parquet", filters=of_these)
+            rows.append(audit(study, samples, part, cube))
         with kept_file(cell / "bounds.parquet") as file:
             pd.concat(rows, ignore_index=True).to_parquet(file)
 
@@ -268,13 +265,12 @@ def learn(study_file: StudyFile, results: Results) -> None:
 @app.command()
 def table(study_file: StudyFile, results: Results) -> None:
     """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
-    import pandas as pd
 
     from iksamples.paper.gather import claims_table, study_table
     from iksamples.results import cells
 
     study, task = open_study(study_file)
-    proofs = pd.read_csv(checked(results / "certificates.csv"))
+    proofs = stored_table(results / "certificates.csv")
     tables = {
         "table.csv": study_table(study, cells(study, results), proofs),
         "claims.csv": claims_table(study, task, results, proofs),

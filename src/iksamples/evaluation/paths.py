@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.study import (
     AnyPath,
     Circle,
@@ -209,6 +209,5 @@ def _table(file: str) -> list[dict[str, str]]:
         with Path(file).open(encoding="utf-8-sig", newline="") as stream:
             rows = list(csv.DictReader(stream, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise IksamplesError(f"{file}: cannot read the waypoints ({reason}).") from None
+        raise IksamplesError(f"{file}: cannot read the waypoints ({in_a_line(error)}).") from None
     return rows

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from iksamples.errors import IksamplesError
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.paper.equations import paper_table
 from iksamples.paper.options import QUESTIONS, Option
 from iksamples.study import Readings, Study, parse_study
@@ -238,8 +238,20 @@ def best_reading(rows: pd.DataFrame) -> str:
 
 def read_parts(files: Sequence[Path]) -> pd.DataFrame:
     """The parts of a search or of its confirmation as one table."""
-    names = dict.fromkeys(QUESTIONS, str)  # "16" is the name of an option
-    return pd.concat([pd.read_csv(checked(file), dtype=names) for file in files], ignore_index=True)
+    kinds: dict[str, type] = dict.fromkeys(QUESTIONS, str)  # "16" is the name of an option
+    kinds |= dict.fromkeys(ROWS, int) | dict.fromkeys(ROWS[-2:], float)
+    tables = []
+    for file in files:
+        table = stored_table(file, tuple(kinds), dtype=kinds)
+        for question, options in QUESTIONS.items():
+            if not table[question].isin([option.name for option in options]).all():
+                raise IksamplesError(f"{file}: '{question}' has an option that is not known here.")
+        if not table["n_samples"].isin(paper_table()["n_samples"]).all():
+            raise IksamplesError(f"{file}: a number of samples that Table 1 does not have.")
+        if (table["error_mean_mm"] <= 0).any():
+            raise IksamplesError(f"{file}: an error that is not above zero.")
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
 
 
 def train_readings(readings: Sequence[Reading], n_seeds: int, first_seed: int = 0) -> pd.DataFrame:

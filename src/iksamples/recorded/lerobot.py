@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.recorded.read import FEWEST, Recording, middle
 from iksamples.samples.measured import plain
 from iksamples.samples.table import Table
@@ -127,8 +127,7 @@ def _frames(folder: Path) -> tuple[list[str], Floats]:
         states = [parquet.read_table(file, columns=[STATE])[STATE].to_numpy() for file in files]
         values = np.stack([row for rows in states for row in rows]).astype(float)
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise IksamplesError(f"{folder}: its frames cannot be read ({reason}).") from None
+        raise IksamplesError(f"{folder}: its frames cannot be read ({in_a_line(error)}).") from None
     if values.ndim != 2 or values.shape[1] != len(names):
         raise IksamplesError(
             f"{folder}: {len(names)} joint names, but values of shape {values.shape}."

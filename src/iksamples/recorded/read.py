@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from iksamples.arm.chain import Floats, SerialChain, Unit, angles_of, roll_pitch_yaw
 from iksamples.errors import IksamplesError
 from iksamples.samples.measured import (
+    MOST,
     UNITS,
     Column,
     Place,
@@ -128,7 +129,7 @@ def read_recording(
     joints = _joint_places(table, drawing, turned)
     found, table = find_columns(table, places + joints)
     n_inputs = len(places)
-    raw = table.numbers([column.at for column in found])
+    raw = table.numbers([column.at for column in found], MOST)
     if len(raw) < fewest:
         raise IksamplesError(
             f"{path}: {len(raw)} records; at least {fewest} are needed to learn from some and "
@@ -230,7 +231,7 @@ def _of_quaternions(table: Table) -> Floats:
     from scipy.spatial.transform import Rotation
 
     names = [name_and_unit(name)[0] for name in table.names]
-    values = table.numbers([names.index(name) for name in _QUATERNION])
+    values = table.numbers([names.index(name) for name in _QUATERNION], MOST)
     wrong = np.flatnonzero(np.abs(np.linalg.norm(values, axis=1) - 1) > _UNIT_LENGTH)
     if len(wrong):
         raise IksamplesError(

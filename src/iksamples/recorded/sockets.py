@@ -6,6 +6,7 @@ and the two points as far apart as the sockets are.
 """
 
 import io
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from iksamples.calibration.design import in_points
 from iksamples.calibration.fit import fit_sockets
 from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.worst import Measured
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import read_bytes
 from iksamples.recorded.doubts import MOST_RAD
 from iksamples.study import Design, Recorded, Study
@@ -66,10 +67,10 @@ def read_places(settings: Recorded, drawing: SerialChain) -> Places:
 def _postures(path: Path, drawing: SerialChain) -> Floats:
     content = read_bytes(path, _MOST_BYTES, "the joint values")
     try:
-        found = np.loadtxt(io.BytesIO(content), delimiter=",", ndmin=2)
-    except ValueError as error:
-        reason = str(error).splitlines()[0]
-        raise IksamplesError(f"{path}: no table of joint values ({reason}).") from None
+        with warnings.catch_warnings(action="error"):  # of a file without a number
+            found = np.loadtxt(io.BytesIO(content), delimiter=",", ndmin=2)
+    except (ValueError, UserWarning) as error:
+        raise IksamplesError(f"{path}: no table of joint values ({in_a_line(error)}).") from None
     if found.shape[1] != drawing.n_joints or len(found) < FEWEST:
         raise IksamplesError(
             f"{path}: {len(found)} rows of {found.shape[1]} values; give at least {FEWEST} rows of "

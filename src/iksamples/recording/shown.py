@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Tracking, median_seed, networks_over_epochs, send
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.results import Cell
 from iksamples.task import Task
 
@@ -296,7 +296,7 @@ def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, floa
     file = cell.folder.parent / "certificates.csv"
     if not file.exists():
         return None, float("nan")
-    table = pd.read_csv(checked(file))
+    table = stored_table(file)
     rows = table[(table["label"] == cell.label) & (table["seed"] == seed)]
     if rows.empty:
         return None, float("nan")

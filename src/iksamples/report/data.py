@@ -15,7 +15,7 @@ from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import median_seed
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
@@ -143,11 +143,7 @@ class ReportData:
     def samples_needed(self) -> pd.DataFrame:
         """Samples needed against tolerance; empty where that was not worked out."""
         file = self.results / "samples-needed.csv"
-        return (
-            pd.read_csv(checked(file)).dropna(subset="n_samples")
-            if file.exists()
-            else pd.DataFrame()
-        )
+        return stored_table(file).dropna(subset="n_samples") if file.exists() else pd.DataFrame()
 
     @cached_property
     def certificates(self) -> pd.DataFrame:
@@ -155,7 +151,7 @@ class ReportData:
         file = self.results / "certificates.csv"
         if not file.exists():
             return pd.DataFrame()
-        table = pd.read_csv(checked(file))
+        table = stored_table(file)
         if table.empty:  # arms that give way have none
             return pd.DataFrame()
         table = table.drop(columns=["n_samples"])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from iksamples.files import checked
+from iksamples.files import stored_table
 from iksamples.paper.equations import AVERAGE_NAMES, kept_reading, scale_mm
 from iksamples.report import figures
 from iksamples.report.data import ReportData
@@ -29,11 +29,11 @@ def values(data: ReportData) -> dict[str, Any]:
         data: A study that was held against the paper.
     """
     study, results = data.study, data.results
-    table = pd.read_csv(checked(results / TABLE))
+    table = stored_table(results / TABLE)
     table["ratio"] = table["error_mean_mm"] / table["paper_error_mm"]
     measured = table[table["error_mean_mm"].notna()]
     spaced = bool(table["spacing_mm"].notna().all())
-    claims = pd.read_csv(checked(results / CLAIMS), keep_default_na=False)
+    claims = stored_table(results / CLAIMS, keep_default_na=False)
     claims.columns = pd.Index(["Claim", "Where", "Verdict", "Number or counter-example"])
     bounds, members = data.table("bounds"), data.table("members")
     path = study.evaluation.paths[data.first_path]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from iksamples.files import checked
+from iksamples.files import checked, stored_table
 from iksamples.recorded.learn import ABOUT, JUDGED
 from iksamples.report import answers, figures, markdown, run
 from iksamples.report.data import ReportData, read_report_data
@@ -34,7 +34,7 @@ def write_recorded(
         IksamplesError: A result is missing or unreadable.
     """
     data = read_report_data(study, Path(results), command)
-    judged = pd.read_parquet(checked(data.results / JUDGED))
+    judged = stored_table(data.results / JUDGED)
     pictures = Pictures()
     title = study.title or f"Study {study.name}"
     values: dict[str, Any] = {

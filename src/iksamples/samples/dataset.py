@@ -5,13 +5,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from iksamples import __version__
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import checked
 from iksamples.region import Region
 from iksamples.task import Space
@@ -208,17 +209,30 @@ class SampleSet:
         Raises:
             IksamplesError: The file cannot be read or is not a set of samples.
         """
-        import pyarrow as pa
         from pyarrow import parquet
 
         try:
             table = parquet.read_table(checked(path))
             header = json.loads(table.schema.metadata[b"iksamples"])
-            space, joint_space = (_from_json(header[key]) for key in ("space", "joint_space"))
-        except FileNotFoundError:
+            found = cls._of(table, header)
+            digest = found.digest()
+        except (FileNotFoundError, IksamplesError):
             raise
-        except (OSError, pa.ArrowInvalid, KeyError, TypeError) as error:
-            raise IksamplesError(f"{path}: not a file of samples ({error}).") from None
+        # Whatever a damaged file raises in pyarrow, in JSON and where its parts do not fit.
+        except Exception as error:
+            raise IksamplesError(f"{path}: not a file of samples ({in_a_line(error)}).") from None
+        if digest != header.get("digest"):
+            raise IksamplesError(
+                f"{path}: not the samples that were written (by their digest). Record them again."
+            )
+        return found
+
+    @classmethod
+    def _of(cls, table: Any, header: dict[str, Any]) -> "SampleSet":
+        """The set in a file's table and header."""
+        import pyarrow as pa
+
+        space, joint_space = (_from_json(header[key]) for key in ("space", "joint_space"))
 
         def take(role: str, names: list[str]) -> Floats:
             rows = table.filter(pa.compute.equal(table["role"], role))

@@ -28,6 +28,8 @@ UNITS = {
 }
 """Unit here -> units that a name may say, and what a value in it is multiplied by."""
 
+MOST = 1e12
+"""A coordinate or joint value beyond it, in whatever unit, is none."""
 _MISSED_MM = 1.0
 _OTHER_BRANCH_RAD = 0.5
 _NO_FIT = 0.25
@@ -89,7 +91,7 @@ def read_samples(study: Study, task: Task, path: str | Path) -> SampleSet:
     ]
     places += joint_places(task.q.names, task.q.units, task.x.names)
     columns, table = find_columns(table, places)
-    values = table.numbers([column.at for column in columns])
+    values = table.numbers([column.at for column in columns], MOST)
     if len(values) < 2:
         raise IksamplesError(f"{path}: {len(values)} samples; at least 2 are needed.")
     flat = [

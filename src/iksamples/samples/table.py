@@ -4,6 +4,7 @@ import csv
 import gzip
 import io
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 
 
 _MOST_BYTES = 500_000_000
@@ -40,8 +41,12 @@ class Table:
         """What a message calls a row, counted from 0 here and from 1 there."""
         return f"row {row + 1} (line {self.lines[row]})" if self.lines else f"row {row + 1}"
 
-    def numbers(self, columns: Sequence[int]) -> Floats:
+    def numbers(self, columns: Sequence[int], most: float = sys.float_info.max) -> Floats:
         """The cells of some columns as finite numbers, shape (rows, columns).
+
+        Args:
+            columns: Which.
+            most: The largest that is one, by its size.
 
         Raises:
             IksamplesError: A cell is no number; the first one is named.
@@ -49,7 +54,7 @@ class Table:
         cells = [[row[column] for column in columns] for row in self.rows]
         as_number = _with_comma if _uses_decimal_comma(cells) else _plain
         found = np.array([[as_number(cell) for cell in row] for row in cells], float)
-        bad = np.argwhere(~np.isfinite(found))
+        bad = np.argwhere(~(np.abs(found) <= most))
         if len(bad):
             row, column = (int(i) for i in bad[0])
             cell = cells[row][column]
@@ -100,8 +105,7 @@ def _content(path: Path) -> bytes:
             with gzip.open(io.BytesIO(content)) as packed:
                 content = packed.read(_MOST_BYTES + 1)
     except (OSError, ValueError, EOFError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise IksamplesError(f"{path}: cannot read the samples ({reason}).") from None
+        raise IksamplesError(f"{path}: cannot read the samples ({in_a_line(error)}).") from None
     if len(content) > _MOST_BYTES:
         raise IksamplesError(f"{path}: over {_MOST_BYTES // 10**6} MB; record fewer rows.")
     return content
@@ -114,8 +118,7 @@ def _parquet(path: Path, content: bytes) -> Table:
     try:
         table = parquet.read_table(io.BytesIO(content))
     except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise IksamplesError(f"{path}: not a whole Parquet file ({reason}).") from None
+        raise IksamplesError(f"{path}: not a whole Parquet file ({in_a_line(error)}).") from None
     columns = [column.to_pylist() for column in table.columns]
     rows = list(zip(*columns, strict=True))
     return _with_rows(Table(path, tuple(table.column_names), rows))

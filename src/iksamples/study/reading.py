@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import yaml
 from pydantic import ValidationError
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import read_bytes
 from iksamples.study.evaluation import SHAPES
 from iksamples.study.sections import NAMES, without_password
@@ -70,6 +70,12 @@ class _Loader(yaml.SafeLoader):
             raise _mistake(node, f"a whole number of {n} digits")
         return int(digits)
 
+    def construct_truth(self, node: Any) -> bool:
+        # What the pattern below has not matched is here by its tag.
+        if node.value.lower() not in ("true", "false"):
+            raise _mistake(node, "a value that is said to be a boolean is true or false")
+        return node.value.lower() == "true"
+
     def construct_undefined(self, node: Any) -> Any:
         raise _mistake(node, f"the tag {node.tag} is not read; write the plain value")
 
@@ -91,7 +97,7 @@ for _tag, _pattern, _first in (
     )
 for _tag, _construct in {
     "null": yaml.SafeLoader.construct_yaml_null,
-    "bool": yaml.SafeLoader.construct_yaml_bool,
+    "bool": _Loader.construct_truth,
     "int": _Loader.construct_whole_number,
     "float": yaml.SafeLoader.construct_yaml_float,
     "str": yaml.SafeLoader.construct_yaml_str,
@@ -153,11 +159,12 @@ def _in_words(error: Exception) -> str:
         problem = (error.problem or error.context or "").replace("\\t", "a tab")
         return f"not a YAML file (line {error.problem_mark.line + 1}: {problem})."
     if isinstance(error, yaml.reader.ReaderError | UnicodeDecodeError):
-        return f"not a text file in UTF-8 ({' '.join(str(error).split())})."
-    return f"not a YAML file ({' '.join(str(error).split())})."
+        return f"not a text file in UTF-8 ({in_a_line(error)})."
+    return f"not a YAML file ({in_a_line(error)})."
 
 
 _MOST_SETTINGS = 20_000
+_MOST_LINES = 10
 _DEEPEST = 20
 
 
@@ -177,7 +184,10 @@ def parse_study(settings: dict[str, Any], origin: str = "study") -> Study:
     try:
         return Study.model_validate(settings)
     except ValidationError as error:
-        lines = [f"{origin}: {_describe(item)}" for item in _own(error.errors())]
+        items = _own(error.errors())
+        lines = [f"{origin}: {_describe(item)}" for item in items[:_MOST_LINES]]
+        if len(items) > _MOST_LINES:
+            lines.append(f"{origin}: and {len(items) - _MOST_LINES} more such faults.")
         raise IksamplesError("\n".join(lines)) from None
 
 

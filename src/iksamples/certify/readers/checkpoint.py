@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.certify.readers.layers import FileNetwork, unscaled
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 
 
 MOST_BYTES = 256 * 2**20
@@ -66,7 +66,8 @@ class Tensor:
         """
         if self.kind not in _FORMATS:
             raise IksamplesError(f"is stored as {self.kind}, not as real floating-point numbers")
-        numbers = np.frombuffer(self.source(), _FORMATS[self.kind])
+        raw, kind = self.source(), np.dtype(_FORMATS[self.kind])
+        numbers = np.frombuffer(raw, kind, len(raw) // kind.itemsize)
         if self.kind == "BF16":
             numbers = (numbers.astype(np.uint32) << 16).view(np.float32)
         strides = self.strides or tuple(
@@ -117,7 +118,7 @@ def read_checkpoint(path: Path) -> Any:
         raise
     # Whatever a damaged or hostile archive or stream of opcodes raises.
     except Exception as error:
-        raise IksamplesError(f"is damaged, or not of torch.save ({_reason(error)})") from None
+        raise IksamplesError(f"is damaged, or not of torch.save ({in_a_line(error)})") from None
 
 
 def _folder(archive: zipfile.ZipFile) -> str:
@@ -134,10 +135,6 @@ def _folder(archive: zipfile.ZipFile) -> str:
     if f"{folder}byteorder" in names and archive.read(f"{folder}byteorder") != b"little":
         raise IksamplesError("was saved on a big-endian machine; save it again on another")
     return folder
-
-
-def _reason(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
 
 
 def state_dicts(content: Any, key: str = "", depth: int = 4) -> Iterator[tuple[str, Mapping]]:
@@ -222,7 +219,7 @@ class _Unpickler(pickle.Unpickler):
                 return self.archive.read(f"{self.folder}data/{key}")
             # A record that is missing, cut, encrypted, of another compression, ...
             except Exception as error:
-                raise IksamplesError(f"is damaged ({_reason(error)})") from None
+                raise IksamplesError(f"is damaged ({in_a_line(error)})") from None
 
         return Tensor(kind.name if isinstance(kind, _Kind) else str(kind), (int(count),), read)
 

@@ -30,7 +30,7 @@ from iksamples.certify.readers.exact import (
     times,
 )
 from iksamples.certify.readers.layers import FileNetwork, Scaling, unscaled
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 
 
 _OLDEST = 7
@@ -65,8 +65,7 @@ def read_onnx(path: Path, n_inputs: int) -> FileNetwork:
             model = onnx.inliner.inline_local_functions(model)
     # The parser and the inliner raise their own kinds, not all exported by the package.
     except Exception as error:
-        reason = next((line for line in str(error).splitlines() if line.strip()), "empty")
-        raise IksamplesError(f"is not a whole ONNX file ({reason.strip()})") from None
+        raise IksamplesError(f"is not a whole ONNX file ({in_a_line(error)})") from None
     if size > MOST_BYTES:
         raise IksamplesError("has more numbers than a network that can be certified")
     versions = {item.domain or "ai.onnx": item.version for item in model.opset_import}
@@ -193,8 +192,9 @@ class _Walk:
             raise IksamplesError(f"{label}: {error}") from None
         except (TypeError, ValueError, IndexError, KeyError, AttributeError) as error:
             # Shapes that do not fit, an input left out that is needed.
-            reason = str(error).splitlines()[0]
-            raise IksamplesError(f"has an operation {label} that fails ({reason})") from None
+            raise IksamplesError(
+                f"has an operation {label} that fails ({in_a_line(error)})"
+            ) from None
 
     def _normalised(self, value: Value) -> Value:
         """Takes a scaling of each input by itself out of the first layer, as ``Scaling``."""

@@ -181,12 +181,11 @@ def _ours(path: Path, head: bytes) -> StackedMLP | None:
     except (OSError, SafetensorError):
         return None
     try:
-        found = StackedMLP.load(path)
-        if found.weights[0].ndim == 3:
-            return found
-    except (KeyError, ValueError, IndexError):
-        pass
-    raise IksamplesError("holds no trained networks of a study; give its weights.safetensors")
+        return StackedMLP.load(path)
+    except IksamplesError:
+        raise IksamplesError(
+            "holds no trained networks of a study; give its weights.safetensors"
+        ) from None
 
 
 def _refuse(options: dict[str, Any], why: str) -> None:
