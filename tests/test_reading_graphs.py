@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper, save
+from onnx import TensorProto, helper, load, numpy_helper, save
 from onnx.reference import ReferenceEvaluator
 
 from iksamples.certify.readers.layers import Scaling
@@ -343,6 +343,30 @@ def test_weights_from_constants_transposes_casts_and_outside(rng, tmp_path):
     (tmp_path / "net.data").unlink()
     with pytest.raises(IksamplesError, match=r"net\.data"):
         load_network(tmp_path / "net.onnx", (3, 3))
+
+
+@pytest.mark.parametrize("location", ["../private", "{}/private", "link", "sub/../../private"])
+def test_numbers_outside_a_file_come_from_beside_it_alone(tmp_path, location):
+    """Else a network of somebody's could take any file of this machine for its weights."""
+    folder = tmp_path / "net"
+    (folder / "sub").mkdir(parents=True)
+    constants = {"w": np.eye(3, dtype=np.float32)}
+    whole = model(
+        [helper.make_node("MatMul", ["x", "w"], ["y"])], constants, kind=TensorProto.FLOAT
+    )
+    save(
+        whole, folder / "net.onnx", save_as_external_data=True, location="beside", size_threshold=0
+    )
+    load_network(folder / "net.onnx", (3, 3))
+    (folder / "beside").rename(tmp_path / "private")
+    (folder / "link").symlink_to(tmp_path / "private")
+    moved = load(folder / "net.onnx", load_external_data=False)
+    for entry in moved.graph.initializer[0].external_data:
+        if entry.key == "location":
+            entry.value = location.format(tmp_path)
+    (folder / "net.onnx").write_bytes(moved.SerializeToString())
+    with pytest.raises(IksamplesError, match="is not a whole ONNX file"):
+        load_network(folder / "net.onnx", (3, 3))
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

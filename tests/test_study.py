@@ -342,3 +342,16 @@ def test_command_line_prints_the_line_and_no_traceback(command, tmp_path):
     assert done.stdout == ""
     assert done.stderr.startswith(f"Error: {path}: unknown key 'samples.desing'; known keys here:")
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "/x", "a/b", "..", ".", "", "a\\b", "a\n", "a\0", "~", "-a", "a" * 300, "con:"]
+)
+def test_no_name_leads_out_of_its_folder(name):
+    for settings in (
+        {"name": name},
+        {"name": "x", "methods": {name: {"kind": "cubic"}}},
+        {"name": "x", "evaluation": {"paths": {name: {"shape": "heart"}}}},
+    ):
+        with pytest.raises(IksamplesError):
+            parse_study(settings)
