@@ -56,7 +56,7 @@ def test_parts_are_all_seeds_once(seeds, first_seed, sizes, per_job):
             "seeds_per_job": per_job,
         }
     )
-    steps = {one.step: one for one in plan_study(study, 3).steps}
+    steps = {one.step: one for one in plan_study(study).steps}
     for cut, name in ((parts(study), "train"), (parts(study, "network"), "prove")):
         whole = [seed for part in cut for seed in seeds_of(part)]
         assert whole == (list(study.seeds) if cut else [])
@@ -70,7 +70,7 @@ def test_parts_are_all_seeds_once(seeds, first_seed, sizes, per_job):
 def test_a_usual_study_is_trained_by_one_job_and_a_large_one_by_several():
     assert parts(parse_study({"name": "x"})) == []
     large = parse_study({"name": "x", "training": {"seeds": 2000}, "network": {"hidden": [64]}})
-    steps = {one.step: one for one in plan_study(large, 3).steps}
+    steps = {one.step: one for one in plan_study(large).steps}
     assert steps["prove"].seconds > 3600
     assert 300 < steps["prove"].longest_s < 610
     assert len(parts(large, "network")) == steps["prove"].jobs

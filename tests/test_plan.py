@@ -1,12 +1,22 @@
 """A plan against what a study then does."""
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
-from iksamples.plan import in_words, plan_study, plan_text, resources
+from iksamples.cli import app
+from iksamples.errors import IksamplesError
+from iksamples.plan import plan_study, require_affordable, resources
+from iksamples.plan.text import in_words, plan_text
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
-from iksamples.study import parse_study
+from iksamples.study import parse_study, read_study
 from iksamples.task import study_task
 from iksamples.training.run import train_study, trained_before
 
@@ -27,7 +37,7 @@ SETTINGS = {
 def test_networks_and_steps_are_those_that_are_trained(tmp_path):
     study = parse_study(SETTINGS)
     sets = [record_samples(study, study_task(study), *one) for one in sample_sets(study).values()]
-    before = plan_study(study, 3)
+    before = plan_study(study)
     train_study(study, sets, tmp_path, tmp_path / "cache")
     assert [one.method for one in before.methods] == ["network", "steps", "held-out", "second"]
     for one in before.methods:
@@ -43,14 +53,14 @@ def test_networks_and_steps_are_those_that_are_trained(tmp_path):
     more = {**SETTINGS, "training": {**SETTINGS["training"], "seeds": 4}}
     for settings, missing in ((SETTINGS, [0, 0, 0, 0]), (more, [2, 0, 2, 2])):
         again = parse_study(settings)
-        plan = plan_study(again, 3, trained_before(again, sets, tmp_path / "cache"))
+        plan = plan_study(again, trained_before(again, sets, tmp_path / "cache"))
         assert [one.to_train for one in plan.methods] == missing
         assert [one.steps == 0 for one in plan.methods] == [not n for n in missing]
 
 
 def test_more_of_anything_takes_longer():
     def seconds(**settings):
-        return plan_study(parse_study({"name": "s", **settings}), 3).seconds(2)
+        return plan_study(parse_study({"name": "s", **settings})).seconds(2)
 
     paper = seconds()
     for more in (
@@ -66,18 +76,21 @@ def test_more_of_anything_takes_longer():
     ):
         assert seconds(**more) > paper, more
     large = parse_study({"name": "s", "network": {"hidden": [512, 512]}})
-    assert plan_study(large, 3).memory_mb > plan_study(parse_study({"name": "s"}), 3).memory_mb
+    assert (
+        plan_study(large).largest.memory_mb
+        > plan_study(parse_study({"name": "s"})).largest.memory_mb
+    )
 
 
 def test_one_core_takes_longer_than_two():
-    plan = plan_study(parse_study({"name": "s"}), 3)
+    plan = plan_study(parse_study({"name": "s"}))
     assert plan.seconds(1) > plan.seconds(2) > plan.seconds(2000)
     assert plan.seconds(2000) >= max(step.longest_s for step in plan.steps)
 
 
 def test_the_text_adds_up():
     study = parse_study(SETTINGS)
-    plan = plan_study(study, 3)
+    plan = plan_study(study)
     text = plan_text(study, plan, 2)
     assert "5 methods on 2 sets of 8 to 27 samples" in text
     row = next(line for line in text.splitlines() if line.startswith("in all")).split()
@@ -95,16 +108,102 @@ def test_times_in_words(seconds, text):
 
 def test_arms_of_which_nothing_can_be_proved_have_a_plan():
     study = parse_study({**SETTINGS, "arm": {"backlash_rad": 0.01}})
-    steps = {step.step: step for step in plan_study(study, 3).steps}
+    steps = {step.step: step for step in plan_study(study).steps}
     assert "prove" not in steps
     assert steps["evaluate"].seconds > 0
 
 
 def test_a_scheduler_is_asked_for_more_than_the_estimate():
     study = parse_study(SETTINGS)
-    for step in plan_study(study, 3).steps:
+    for step in plan_study(study).steps:
         asked = resources(study, step.step)
         assert asked["mem_mb"] > step.memory_mb
         assert 60 * asked["runtime"] > step.longest_s
     for apart in ({"readings": {}}, {"samples": {"recorded": {"path": "r.csv"}}}):
         assert resources(parse_study({"name": "s", **apart}), "learn")["mem_mb"] > 0
+
+
+SIX = {
+    "task": {"inputs": ["x", "y", "z", "roll", "pitch", "yaw"], "orientation": "fixed"},
+    "workspace": {"lower_rad": [-0.1] * 3, "upper_rad": [0.1] * 3},
+}
+HUGE = {
+    "samples.points_per_axis": {"samples": {"points_per_axis": [32]}, **SIX},
+    "training.seeds": {"training": {"seeds": 100_000}},
+    "network.hidden": {"network": {"hidden": [1024] * 8}},
+    "training.epochs": {"training": {"epochs": 1_000_000, "seeds": 1000}},
+    "training.snapshots": {"training": {"snapshots": 1000, "seeds": 100_000, "epochs": 1000}},
+    "evaluation.cube_points": {
+        "evaluation": {"cube_points": 1_000_000},
+        "training": {"seeds": 20_000, "epochs": 1, "snapshots": 2},
+    },
+    "evaluation.paths": {
+        "evaluation": {"paths": {"long": {"shape": "heart", "waypoints": 100_000}}},
+        "training": {"seeds": 10_000},
+    },
+    "methods.kernel": {
+        "arm": {"deviation_mm": 1.0},
+        "samples": {"sizes": [4000]},
+        "methods": {"kernel": {"kind": "gaussian-process"}},
+        "training": {"seeds": 1000},
+    },
+    "samples.sizes": {
+        "samples": {"sizes": list(range(8, 208)), "designs": ["sobol"]},
+        "methods": {f"m{i}": {} for i in range(1000)},
+    },
+    "replication.seeds": {"replication": {"seeds": 100_000}},
+    "readings.count": {"readings": {"count": 20_000, "seeds": 1000}},
+    "samples.recorded.subsets": {
+        "samples": {"recorded": {"path": "r.csv", "subsets": 1000}, "sizes": [100_000]},
+    },
+}
+
+
+@pytest.mark.parametrize("setting", HUGE)
+def test_a_huge_wish_is_refused_until_its_budget_is_raised(setting):
+    settings = {"name": "huge", **HUGE[setting]}
+    with pytest.raises(IksamplesError) as refused:
+        require_affordable(parse_study(settings))
+    said = str(refused.value)
+    assert len(said.splitlines()) == 2
+    assert setting in said.splitlines()[0]
+    assert "raise budget." in said.splitlines()[1]
+    large = {"memory_gb": 100_000, "processor_hours": 10_000_000}
+    require_affordable(parse_study({**settings, "budget": large}))
+
+
+@pytest.mark.parametrize("file", sorted(Path("config").rglob("*.yaml")))
+def test_the_studies_that_come_along_are_affordable(file):
+    if "robots" not in file.parts:
+        require_affordable(read_study(file))
+
+
+@pytest.mark.parametrize("command", ["check", "plan", "samples", "train"])
+def test_commands_refuse_before_they_make_anything(command, tmp_path, monkeypatch):
+    study = tmp_path / "huge.json"
+    study.write_text(json.dumps({"name": "huge", **HUGE["samples.points_per_axis"]}))
+    more = [] if command in ("check", "plan") else ["-o", str(tmp_path / "made")]
+    more += [str(tmp_path / "none.parquet")] if command == "train" else []
+    said = CliRunner().invoke(app, [command, str(study), *more])
+    assert isinstance(said.exception, IksamplesError)
+    assert "budget.memory_gb" in str(said.exception)
+    assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.slow
+def test_snakemake_refuses_before_it_makes_anything(tmp_path):
+    study = tmp_path / "huge.json"
+    study.write_text(json.dumps({"name": "huge", **HUGE["training.seeds"]}))
+    root = Path.cwd()
+    command = ["--snakefile", root / "Snakefile", "--directory", tmp_path, "--configfile", study]
+    told = subprocess.run(
+        [sys.executable, "-m", "snakemake", "--cores", "1", *map(str, command)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert told.returncode == 2
+    lines = [line for line in told.stderr.splitlines() if line.startswith("Error")]
+    assert len(lines) == 2
+    assert "budget." in lines[1]
+    assert not (tmp_path / "results").exists()

@@ -19,10 +19,9 @@ def parts(study: Study, method: str | None = None) -> list[str]:
         return []
     names = [method] if method else networks(study)
     seeds = sorted({one for name in names for one in study.all_methods[name].training.all_seeds})
-    n_joints = len(study.task.inputs)  # at least; how many hardly matters here
-    plans = {plan.method: plan for plan in plan_study(study, n_joints).methods}
+    plans = {plan.method: plan for plan in plan_study(study).methods}
     if method:
-        seconds = proof_seconds(study, n_joints, plans[method])
+        seconds = proof_seconds(study, plans[method])
     else:
         seconds = sum(plan.seconds for plan in plans.values())
     each = seeds_per_job(study, seconds, len(seeds))

@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 from iksamples.errors import IksamplesError
 from iksamples.files import put_aside, whole_file
 from iksamples.jobs import parts
+from iksamples.plan import require_affordable
 from iksamples.plan import resources as asked
 from iksamples.results import certified, networks, sample_sets
 from iksamples.sources import source_digest
@@ -246,6 +247,7 @@ def where_to_look():
 
 try:
     STUDY = the_study()
+    require_affordable(STUDY)
 except IksamplesError as error:
     stop(error)
 ARM = digest_of(STUDY.robot.urdf, "robot.urdf")

@@ -12,13 +12,12 @@ OUTPUTS
     results/<study>/parts/<seeds>/, a cache of these seeds, until they are joined
 """
 
-from iksamples.plan import plan_study
+from iksamples.plan.steps import plan_study
 
 
 def training_threads(wildcards):
     """One where it is mostly Lightning that is imported: another job can have the other core."""
-    # An arm has as many joints as inputs at least; how many hardly matters here.
-    methods = plan_study(STUDY, n_joints=len(STUDY.task.inputs)).methods
+    methods = plan_study(STUDY).methods
     return 1 if sum(method.seconds for method in methods) < 5 else 2
 
 

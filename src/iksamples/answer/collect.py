@@ -15,11 +15,13 @@ from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE, send
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.files import stored_table
+from iksamples.methods.predictor import in_parts
 from iksamples.methods.registry import KINDS
+from iksamples.network import StackedMLP
 from iksamples.results import Cell, cells, certified, networks
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study, Tolerance
-from iksamples.task import study_task
+from iksamples.task import Task, study_task
 
 
 FILE = "runs.parquet"
@@ -31,6 +33,8 @@ _NAMES = ("method", "design", "label", "region")
 _RUN = ["method", "design", "n_samples", "seed", "region"]
 _SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]
+_AT_ONCE = 2**20
+"""Samples of all networks whose errors are held at once."""
 _ROUNDING = 1e-4
 """Errors over the workspace are kept in single precision."""
 
@@ -263,7 +267,13 @@ def errors_at_samples(study: Study, cell: Cell) -> Floats | None:
     held_out = study.all_methods[cell.method].training.held_out.source == "grid"
     if tolerance.where != WORKSPACE or held_out:
         return None
-    at = send(cell.network, study_task(study, cell.samples.region), cell.samples.x)
+    task, x = study_task(study, cell.samples.region), cell.samples.x
+    parts = in_parts(cell.network, len(x), _AT_ONCE)
+    return np.concatenate([_errors_of(part, task, x, tolerance) for part in parts])
+
+
+def _errors_of(network: StackedMLP, task: Task, x: Floats, tolerance: Tolerance) -> Floats:
+    at = send(network, task, x)
     sound = np.isfinite(at.error_mm).all(axis=1)
     worst = np.full(sound.sum(), -np.inf)
     for measured, mm in ((at.error_mm, 1.0), (at.angle_deg, _mm_per_deg(tolerance))):

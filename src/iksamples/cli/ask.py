@@ -10,6 +10,7 @@ from iksamples.cli.common import (
     advise,
     app,
     open_study,
+    read,
     require_feasible,
     say,
 )
@@ -19,14 +20,14 @@ from iksamples.files import whole_file
 @app.command()
 def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
-    from iksamples.plan import readings_text
+    from iksamples.plan.text import readings_text
     from iksamples.region import Region
     from iksamples.results import networks, sample_sets
     from iksamples.samples.record import record_samples, region_points
-    from iksamples.study import NETWORK, read_study
+    from iksamples.study import NETWORK
     from iksamples.task import study_task
 
-    study = read_study(study_file)
+    study = read(study_file)
     if study.samples.recorded:
         from iksamples.recorded.learn import looked_at
 
@@ -37,7 +38,7 @@ def check(study_file: StudyFile) -> None:
     task = study_task(study)
     valid = f"{study.name}: valid; digest {study.digest()}, joints {', '.join(task.q.names)}"
     if study.readings:
-        say(f"{valid}\n{readings_text(study, len(task.q))}")
+        say(f"{valid}\n{readings_text(study)}")
         return
     require_feasible(study, task)
     sets, all_recorded, lines = sample_sets(study), [], [valid]
@@ -75,14 +76,15 @@ def plan(
     ] = None,
 ) -> None:
     """Say what a study would take: networks to train, time, memory. Nothing is run."""
-    from iksamples.plan import plan_study, plan_text, readings_text
+    from iksamples.plan.steps import plan_study
+    from iksamples.plan.text import plan_text, readings_text
     from iksamples.results import sample_sets
     from iksamples.samples.record import record_samples
     from iksamples.training.run import trained_before
 
     study, task = open_study(study_file)
     if study.readings:
-        say(f"{study.name}\n{readings_text(study, len(task.q), cores)}")
+        say(f"{study.name}\n{readings_text(study, cores)}")
         return
     require_feasible(study, task)
     sets = [
@@ -92,7 +94,7 @@ def plan(
     ]
     cache = (results or Path("results") / study.name) / "cache"
     cached = trained_before(study, sets, cache) if cache.is_dir() else {}
-    say(plan_text(study, plan_study(study, len(task.q), cached), cores))
+    say(plan_text(study, plan_study(study, cached), cores))
     advise(study, task, sets)
 
 

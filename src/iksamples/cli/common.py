@@ -157,12 +157,21 @@ def write_tables(folder: Path, parts: "Iterable[dict[str, pd.DataFrame]]") -> No
                 writers[name].write_table(table)
 
 
-def open_study(study_file: Path) -> "tuple[Study, Task]":
-    """A study and its task."""
+def read(study_file: Path) -> "Study":
+    """A study that takes no more than its budget."""
+    from iksamples.plan.budget import require_affordable
     from iksamples.study import read_study
-    from iksamples.task import study_task
 
     study = read_study(study_file)
+    require_affordable(study)
+    return study
+
+
+def open_study(study_file: Path) -> "tuple[Study, Task]":
+    """A study and its task."""
+    from iksamples.task import study_task
+
+    study = read(study_file)
     return study, study_task(study)
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from iksamples.cli.common import Output, Results, StudyFile, app
+from iksamples.cli.common import Output, Results, StudyFile, app, read
 from iksamples.errors import IksamplesError
 from iksamples.files import kept_file
 
@@ -70,16 +70,14 @@ def report(
     """Say which of the paper's words must be wrong for its Table 1 to come out."""
     from iksamples.report.readings import write_page
     from iksamples.report.write import write_front_page
-    from iksamples.study import read_study
 
-    write_page(read_study(study_file), results, output)
+    write_page(read(study_file), results, output)
     write_front_page(output.parent, output.parent.parent / "docs" / "studies")
 
 
 def _wanted(study_file: Path) -> "Readings":
-    from iksamples.study import read_study
 
-    wanted = read_study(study_file).readings
+    wanted = read(study_file).readings
     if wanted is None:
         raise IksamplesError(
             f"{study_file}: no `readings` section; config/studies/readings.yaml has one."

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from iksamples.cli.common import Results, StudyFile, app, require_one_of, say, shown
+from iksamples.cli.common import Results, StudyFile, app, read, require_one_of, say, shown
 from iksamples.files import kept_file
 
 
@@ -28,13 +28,12 @@ def track(
     ] = False,
 ) -> None:
     """Log the study, its variants and sizes to MLflow; what is there already is kept."""
-    from iksamples.study import read_study
     from iksamples.study.sections import without_password
     from iksamples.tracking.store import StoreError
     from iksamples.tracking.track import put_off, tracking_uri
     from iksamples.tracking.track import track as log_study
 
-    study, output = read_study(study_file), output or results / "tracking.json"
+    study, output = read(study_file), output or results / "tracking.json"
     where = without_password(tracking_uri(study))
     try:
         with shown(f"logging the runs to {where}", after_s=5.0):
@@ -62,9 +61,8 @@ def record(
     """Record the arm drawing each path, all grids in one file for the Rerun viewer."""
     from iksamples.recording.record import record_path
     from iksamples.results import cells
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study = read(study_file)
     for name in path or ():
         require_one_of(study.evaluation.paths, name, f"{study_file}: no path")
     for name in path or study.evaluation.paths:
@@ -84,9 +82,8 @@ def report(
     """Build the report: one page that opens offline, a Markdown twin, and the front page of all."""
     from iksamples.report.recorded import write_recorded
     from iksamples.report.write import write_front_page, write_report
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study = read(study_file)
     write = write_recorded if study.samples.recorded else write_report
     write(study, results, output, command)
     write_front_page(output.parent, output.parent.parent / "docs" / "studies")

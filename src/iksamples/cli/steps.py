@@ -16,6 +16,7 @@ from iksamples.cli.common import (
     app,
     load_samples,
     open_study,
+    read,
     record_sets,
     require_feasible,
     require_one_of,
@@ -74,13 +75,12 @@ def train(
 
     A part of the seeds goes to --cache alone, for a call that gets all such folders as --trained.
     """
-    from iksamples.study import read_study
     from iksamples.training.run import train_study
 
     if (output is None) == (seeds is None) or not (output or cache):
         raise IksamplesError("train: give --output for all seeds, or --seeds and --cache for some.")
     train_study(
-        read_study(study_file),
+        read(study_file),
         load_samples(samples_files),
         output,
         cache,
@@ -101,10 +101,9 @@ def evaluate(
     from iksamples.evaluation.errors import evaluate as measure
     from iksamples.evaluation.errors import nothing_measured
     from iksamples.methods.predictor import NotApplicableError
-    from iksamples.study import read_study
     from iksamples.task import study_task
 
-    study = read_study(study_file)
+    study = read(study_file)
     for name in method:
         require_one_of(study.all_methods, name, f"{study_file}: no method")
     sets = load_samples(samples_files)
@@ -125,10 +124,9 @@ def evaluate(
 def floor(study_file: StudyFile, samples_files: SamplesFiles, output: Output) -> None:
     """Measure what the arms leave of the error of their own inverse: no samples can do better."""
     from iksamples.evaluation.errors import repeatability
-    from iksamples.study import read_study
     from iksamples.task import study_task
 
-    study = read_study(study_file)
+    study = read(study_file)
     if not study.arm:
         raise IksamplesError(f"{study_file}: the arm is its drawing; there is no arm section.")
     task = study_task(study, load_samples(samples_files[:1])[0].region)
@@ -144,9 +142,8 @@ def bounds(study_file: StudyFile, samples_files: SamplesFiles, folder: MethodFol
     from iksamples.methods.predictor import in_parts
     from iksamples.network import StackedMLP
     from iksamples.paper.equations import audit
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study = read(study_file)
     for samples in load_samples(samples_files):
         cell = folder / samples.label
         network, rows = StackedMLP.load(cell / "weights.safetensors"), []
@@ -176,10 +173,9 @@ def prove(
 
     from iksamples.certify.step import certify, joined
     from iksamples.results import certified
-    from iksamples.study import read_study
     from iksamples.task import study_task
 
-    study = read_study(study_file)
+    study = read(study_file)
     require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
     if proved:
         table = joined(proved, [file.stem for file in samples_files])
@@ -205,10 +201,9 @@ def map_(study_file: StudyFile, results: Results) -> None:
     from iksamples.certify.step import map_cell, shown_seeds
     from iksamples.evaluation.slices import error_slices
     from iksamples.results import cells
-    from iksamples.study import read_study
     from iksamples.task import study_task
 
-    study = read_study(study_file)
+    study = read(study_file)
     all_cells = list(cells(study, results))
     task = study_task(study, all_cells[0].samples.region)
     for cell in all_cells:
@@ -228,9 +223,8 @@ def collect(study_file: StudyFile, results: Results) -> None:
     """Put all errors and certificates into one table, runs.parquet, and all certificates in one."""
     from iksamples.answer.collect import FILE, certificates
     from iksamples.answer.collect import collect as collect_runs
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study = read(study_file)
     runs = collect_runs(study, results)
     with kept_file(results / "certificates.csv") as file:
         certificates(study, results).to_csv(file, index=False)
@@ -248,9 +242,8 @@ def learn(study_file: StudyFile, results: Results) -> None:
 
     from iksamples.answer.collect import FILE
     from iksamples.recorded.learn import ABOUT, JUDGED, learning_curve
-    from iksamples.study import read_study
 
-    found = learning_curve(read_study(study_file))
+    found = learning_curve(read(study_file))
     about = {"head": found.head, "doubts": found.doubts, "left_out": found.left_out}
     for doubt in found.doubts:
         say(f"Note: {doubt}", err=True)
@@ -285,9 +278,8 @@ def answer(study_file: StudyFile, results: Results) -> None:
     """Answer how many samples each method needs: answer.json and samples-needed.csv."""
     from iksamples.answer.assess import answer_study, samples_needed
     from iksamples.answer.collect import outcomes, read_runs
-    from iksamples.study import read_study
 
-    study = read_study(study_file)
+    study = read(study_file)
     found = answer_study(study, results)
     rows = outcomes(study, read_runs(results))
     with kept_file(results / "samples-needed.csv") as file:
@@ -315,10 +307,10 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
     from iksamples.results import sample_sets
     from iksamples.samples.dataset import SampleSet
     from iksamples.samples.record import on_arms
-    from iksamples.study import NETWORK, read_study
+    from iksamples.study import NETWORK
     from iksamples.task import study_task
 
-    study, answer = read_study(study_file), read_answer(results)
+    study, answer = read(study_file), read_answer(results)
     if not study.replication.seeds:
         raise IksamplesError(
             f"{study_file}: replication.seeds is 0; say how many fresh trainings, 200 for example."

@@ -69,6 +69,23 @@ def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
         task: What is learned.
         x: Inputs [mm or rad], shape (points, d).
     """
+    x = np.asarray(x, float)
+    blocks = np.split(x, range(_AT_ONCE, len(x), _AT_ONCE))
+    parts = [
+        [_followed(part, task, block) for block in blocks]
+        for part in in_parts(predictor, max(1, len(x)), _AT_ONCE)
+    ]
+
+    def joined(name: str) -> Floats:
+        rows = [np.concatenate([getattr(one, name) for one in part], axis=1) for part in parts]
+        return np.concatenate(rows)
+
+    angle = joined("angle_deg") if task.turns else None
+    return Tracking(joined("joints"), joined("reached_mm"), joined("error_mm"), angle)
+
+
+def _followed(predictor: Predictor, task: Task, x: Floats) -> Tracking:
+    """As ``send``, all at once."""
     joints, target = predictor.predict(x), task.target
     arms = [task.arm_of(seed) for seed in predictor.seeds]
     # One arm for all of them goes in one piece.
@@ -125,20 +142,12 @@ def cube_errors(evaluation: Evaluation, task: Task, predictor: Predictor) -> pd.
         point counts along ``region_points``.
     """
     points = region_points(task.region, evaluation.cube_points)
-    measured: dict[str, list[NDArray[np.float32]]] = {}
-    for part in in_parts(predictor, len(points), _AT_ONCE):
-        pieces = [
-            send(part, task, points[first : first + _AT_ONCE]).errors()
-            for first in range(0, len(points), _AT_ONCE)
-        ]
-        for measure in pieces[0]:
-            single = [piece[measure].astype(np.float32) for piece in pieces]
-            measured.setdefault(measure, []).append(np.concatenate(single, axis=1).ravel())
+    errors = send(predictor, task, points).errors()
     return pd.DataFrame(
         {
             "point": np.tile(np.arange(len(points), dtype=np.int32), len(predictor.seeds)),
             "seed": np.repeat(np.asarray(predictor.seeds, np.int32), len(points)),
-            **{measure: np.concatenate(parts) for measure, parts in measured.items()},
+            **{measure: values.astype(np.float32).ravel() for measure, values in errors.items()},
         }
     )
 

@@ -40,6 +40,21 @@ class Readings(Section):
     seed: int = Field(0, ge=0, lt=2**31, description="Seed of the draw.")
 
 
+class Budget(Section):
+    """What a study may take; one that is expected to take more is not started."""
+
+    memory_gb: float = Field(
+        8.0, gt=0, le=100_000, description="Memory of any one job, at most [GB]."
+    )
+    processor_hours: float = Field(
+        24.0,
+        gt=0,
+        le=10_000_000,
+        description="Time of one core, all jobs together, at most [h]; `iksamples plan` says how "
+        "long a study is expected to take.",
+    )
+
+
 NETWORK = "network"
 """Name of the method that a study's own ``network`` and ``training`` sections describe."""
 
@@ -84,7 +99,9 @@ class Study(Section):
     network: Network = Network()
     training: Training = Training()
     methods: dict[Name, Method] = Field(
-        {}, description="Further methods to compare on the same samples, by name."
+        {},
+        max_length=1000,
+        description="Further methods to compare on the same samples, by name.",
     )
     evaluation: Evaluation = Evaluation()
     bounds: Bounds = Bounds()
@@ -99,6 +116,7 @@ class Study(Section):
         description="Seeds that one job trains, on all samples, or proves; null: as many as take "
         "about ten minutes, which for most studies are all. No number depends on it.",
     )
+    budget: Budget = Budget()
     paper: bool = Field(
         False,
         description="Whether this is the paper's own case (arXiv 2605.23583): its bounds, its "
@@ -158,7 +176,7 @@ class Study(Section):
     @model_validator(mode="after")
     def _readings_are_all_there_is(self) -> "Study":
         """Every other setting is part of a reading, or of no use to one."""
-        own = {"name", "title", "readings"}
+        own = {"name", "title", "readings", "budget"}
         plain = {name: field.default for name, field in type(self).model_fields.items()}
         ignored = [name for name in plain if name not in own and getattr(self, name) != plain[name]]
         if self.readings and ignored:
@@ -314,7 +332,7 @@ class Study(Section):
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that name the settings that numbers depend on."""
-        apart = {"title", "tracking", "replication", "seeds_per_job"}
+        apart = {"title", "tracking", "replication", "seeds_per_job", "budget"}
         text = json.dumps(self.model_dump(mode="json", exclude=apart), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -1,0 +1,62 @@
+"""The budget of a study, and what a scheduler is asked for."""
+
+from math import ceil
+
+from iksamples.errors import IksamplesError
+from iksamples.plan.steps import plan_study
+from iksamples.study import Study
+
+
+def require_affordable(study: Study) -> None:
+    """Stops at a study that takes more than its budget, before anything is made for it.
+
+    Raises:
+        IksamplesError: Names the step, the estimate, the settings it is due to and the one to
+            raise.
+    """
+    plan, budget = plan_study(study), study.budget
+    large, long = plan.largest, plan.longest
+    if large.memory_mb > 1000 * budget.memory_gb:
+        raise IksamplesError(
+            f"{study.name}: '{large.step}' would take about {_rounded(large.memory_mb / 1000)} GB "
+            f"of memory, mostly by {_listed(large.memory_by)}.\n"
+            f"Make these smaller, or raise budget.memory_gb ({budget.memory_gb:g})."
+        )
+    if plan.processor_s > 3600 * budget.processor_hours:
+        raise IksamplesError(
+            f"{study.name}: would take about {_rounded(plan.processor_s / 3600)} hours of one "
+            f"core, {_rounded(long.seconds / 3600)} for '{long.step}', mostly by "
+            f"{_listed(long.time_by)}.\n"
+            f"Make these smaller, or raise budget.processor_hours ({budget.processor_hours:g})."
+        )
+
+
+def resources(study: Study, rule: str) -> dict[str, int]:
+    """What a scheduler is asked for, for one job of a rule: the estimate with room to spare.
+
+    Args:
+        study: The study.
+        rule: Name of the rule; one that is not in the plan does next to nothing.
+
+    Returns:
+        ``mem_mb`` [MB] and ``runtime`` [min], as Snakemake names them.
+    """
+    found = {step.step: step for step in plan_study(study).steps}.get(rule)
+    memory_mb, seconds = (found.memory_mb, found.longest_s) if found else (0.0, 0.0)
+    return {
+        "mem_mb": max(500, ceil(1.5 * memory_mb)),
+        "runtime": ceil(_SLOWER * seconds / 60) + 5,
+    }
+
+
+_SLOWER = 4
+"""Times slower than here a machine may be, before a scheduler ends its job."""
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def _rounded(value: float) -> str:
+    """Two digits."""
+    return f"{value:.1f}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}".replace(",", " ")

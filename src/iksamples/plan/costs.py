@@ -1,0 +1,209 @@
+"""What the parts of a study take: trainings, methods that are not trained, samples.
+
+Time is one core's of the machine in ``docs/plan.md``, where ``benchmarks/plan.py`` holds plans
+against runs; memory is what a process takes beside Python and its libraries.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from iksamples.methods.registry import KINDS
+from iksamples.methods.scattered import MOST_SAMPLES
+from iksamples.study import NETWORK, CsvPath, Design, Method, Study
+from iksamples.training.run import SEEDS_AT_ONCE, choose_engine
+
+
+Settings = tuple[str, ...]
+"""Names of settings."""
+Terms = Mapping[Settings, float]
+"""What something takes by the settings that it grows with: the sum counts, the largest explains."""
+
+
+class Shape(NamedTuple):
+    """Numbers of a study that every step depends on."""
+
+    inputs: int
+    joints: int
+    arms: int
+    waypoints: int
+    points: int
+    sizes: dict[Design, list[int]]
+    """Samples of each set by design."""
+    said: str
+    """The setting of the sizes."""
+
+
+# Of one core [s].
+FIT = 0.03
+"""Start of one training of all seeds."""
+_EPOCH = 18e-6
+"""Of the fused engine, beside its steps."""
+_FLOPS = {"relu": 2.4e10, "tanh": 2.0e10}
+"""Of the fused engine, per second."""
+_STACKED_STEP, _STACKED_FLOPS = 5e-4, 1e10
+"""Of the reference engine: a step of the whole stack, and floating-point operations per second."""
+_ITERATION, _GRAM, _SOLVE = 5e-5, 1e10, 1.5e10
+"""Of Levenberg-Marquardt, per seed: an iteration, and operations per second of its two products."""
+_SAMPLE = 4e-5
+"""Of recording one sample on one arm."""
+_SOLVED = 3e9
+"""Operations per second of dense matrices: kernels, designs."""
+_ADAPTIVE = 9.0
+"""Training of the networks that choose the adaptive sets."""
+
+
+def shape_of(study: Study) -> Shape:
+    """What all steps depend on."""
+    methods, samples = study.all_methods, study.samples
+    d, robot = len(study.task.inputs), study.robot
+    sizes = {design: study.sizes_of(design) for design in study.designs()}
+    seeds = [one.training for one in methods.values()]
+    first, last = (
+        min(one.first_seed for one in seeds),
+        max(one.first_seed + one.seeds for one in seeds),
+    )
+    way = sum(
+        1000 if isinstance(path, CsvPath) else path.waypoints
+        for path in study.evaluation.paths.values()
+    )
+    return Shape(
+        d,
+        # No arm has fewer joints than inputs; one that has more needs a home posture.
+        max(d, len(robot.home_rad) + len(robot.home_mm)),
+        last - first if study.arm else 0,
+        way,
+        study.evaluation.cube_points + way,
+        sizes,
+        "samples.sizes" if samples.sizes else "samples.points_per_axis",
+    )
+
+
+def of(name: str, setting: str) -> str:
+    """A method's setting as people write it."""
+    return setting if name == NETWORK else f"methods.{name}.{setting}"
+
+
+def sets_of(study: Study, shape: Shape, method: Method) -> list[int]:
+    """Samples of each set of a method."""
+    designs = [method.design] if method.design else study.samples.designs
+    return [n for design in designs for n in shape.sizes[design]]
+
+
+def epochs_of(method: Method, n: int) -> int:
+    """Epochs of a training on n samples, if it does not stop early."""
+    training = method.training
+    if training.steps is None:
+        return training.epochs
+    return -(-training.steps // training.steps_per_epoch(n))
+
+
+def engine_of(study: Study, shape: Shape, method: Method) -> tuple[str, int]:
+    """A method's engine, if there is no GPU, and the weights of one network."""
+    training = method.training
+    if training.accelerator == "auto":  # torch would have to be asked
+        training = training.model_copy(update={"accelerator": "cpu"})
+    own = study.model_copy(update={"network": method.network, "training": training})
+    weights = method.network.n_parameters(shape.inputs, shape.joints)
+    return choose_engine(own, shape.joints), weights
+
+
+def fit_seconds(method: Method, engine: str, weights: int, n: int, seeds: int) -> float:
+    """Expected time of training some seeds of a method on n samples."""
+    training, epochs = method.training, epochs_of(method, n)
+    if engine == "levenberg-marquardt":
+        products = 3 * n * weights**2 / _GRAM + weights**3 / _SOLVE
+        return seeds * epochs * (_ITERATION + products)
+    steps = epochs * training.steps_per_epoch(n)
+    operations = 6.0 * min(training.batch_size, n) * weights * seeds * steps
+    if engine == "reference":
+        return steps * _STACKED_STEP + operations / _STACKED_FLOPS
+    return epochs * _EPOCH + operations / _FLOPS[method.network.activation]
+
+
+def fit_bytes(study: Study, shape: Shape, name: str, method: Method) -> Terms:
+    """Memory of a method's training on its largest set: the stack, its snapshots and history."""
+    training, sizes = method.training, sets_of(study, shape, method)
+    engine, weights = engine_of(study, shape, method)
+    n, seeds = max(sizes, default=0), training.seeds
+    at_once = min(seeds, SEEDS_AT_ONCE)
+    epochs = max((epochs_of(method, k) for k in sizes), default=0)
+    keys = ("network.hidden", "training.seeds", "training.snapshots", "training.epochs")
+    hidden, of_seeds, snapshots, of_epochs = (of(name, key) for key in keys)
+    stack = 4.0 * weights * (12 * at_once + training.snapshots * (2 * at_once + 2 * seeds))
+    found: dict[Settings, float] = {(hidden, of_seeds, snapshots): stack}
+    found[(of_epochs, of_seeds)] = epochs * (40.0 * at_once + 150.0 * seeds)
+    found[(shape.said, of_seeds)] = 8.0 * n * (seeds + at_once)
+    if engine == "levenberg-marquardt":
+        jacobian = 8.0 * n * shape.joints * weights
+        part = max(1, 2**23 // max(1, int(jacobian)))
+        found[(hidden, shape.said)] = 4 * jacobian * part
+        found[(hidden,)] = 24.0 * min(part, at_once) * weights**2
+    return found
+
+
+def kernel_seconds(kind: str, n: int) -> float:
+    """Of one fit of a method that is not trained to n samples."""
+    if kind in ("rbf", "gaussian-process", "residual"):
+        tuned = 0.0 if kind == "rbf" else 60 * (0.004 + min(n, 256) ** 3 / _SOLVED * 4)
+        return tuned + (min(n, MOST_SAMPLES) ** 3 / _SOLVED if n <= MOST_SAMPLES else 0.0)
+    return 0.01 + 1e-5 * n
+
+
+def answer_seconds(kind: str, n: int, joints: int) -> float:
+    """Of one answer of such a method."""
+    if kind in ("rbf", "gaussian-process", "residual"):
+        return 1.5e-8 * min(n, MOST_SAMPLES) * (n <= MOST_SAMPLES) + 1e-6
+    return 2e-6 if KINDS[kind].needs_grid else 4e-6 * joints
+
+
+def kernel_bytes(kind: str, n: int, arms: int) -> float:
+    """Memory of such a method: the fit of every arm, and its work on 8192 points."""
+    if kind in ("rbf", "gaussian-process", "residual") and n <= MOST_SAMPLES:
+        return 8.0 * n**2 * (max(1, arms) + 2) + 8.0 * 8192 * n * 5
+    return 500.0 * n
+
+
+def recording(study: Study, shape: Shape) -> Terms:
+    """Time to record all samples."""
+    found: dict[Settings, float] = {}
+    n_all = sum(n for sizes in shape.sizes.values() for n in sizes)
+    found[(shape.said,)] = _SAMPLE * n_all * (1 + 2 * shape.arms)
+    if shape.arms:
+        found[(shape.said, "training.seeds")] = found.pop((shape.said,))
+    if "adaptive" in shape.sizes:
+        own = study.all_methods[NETWORK]
+        largest = max(shape.sizes["adaptive"])
+        engine, weights = engine_of(study, shape, own)
+        one = fit_seconds(own, engine, weights, largest, 16) if engine == "reference" else 0.0
+        found[("samples.designs", "network.hidden")] = _ADAPTIVE * weights / 115 + one
+    for n in shape.sizes.get("optimal", []):
+        width = 6.0 * (shape.joints + 1)
+        key = ("samples.designs", shape.said)
+        candidates = max(400, 2 * n)
+        taken = 2 * n * (candidates * 6 * width**2 + n * width**2) / _SOLVED
+        found[key] = found.get(key, 0.0) + taken
+    return found
+
+
+def recording_bytes(study: Study, shape: Shape, n: int) -> Terms:
+    """Memory to record n samples."""
+    width = 6.0 * (shape.joints + 1)
+    optimal = 3 * 8.0 * 6 * width * 2 * max(shape.sizes.get("optimal", [0]))
+    solved = 1500.0 * n * (4 if {"uniform", "joints"} & shape.sizes.keys() else 1)
+    arms = 16.0 * n * shape.joints * shape.arms
+    return {
+        (shape.said,): solved,
+        (shape.said, "samples.designs"): optimal,
+        (shape.said, "training.seeds"): arms,
+    }
+
+
+def largest(jobs: Iterable[Terms]) -> dict[Settings, float]:
+    """Of jobs that follow one another, or run apart, the one that takes most."""
+    all_jobs: list[Terms] = list(jobs)
+    return dict(all_jobs[max(range(len(all_jobs)), key=lambda i: total(all_jobs[i]))])
+
+
+def total(*jobs: Terms) -> float:
+    """All terms of all jobs together."""
+    return sum(sum(job.values()) for job in jobs)
