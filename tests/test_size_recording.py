@@ -266,6 +266,72 @@ def test_faults_are_named_by_row(tmp_path, fault, drawn):
         assert any(one in said for one in message.split("|")), said
 
 
+UNITS = {
+    "m as mm": (POSITIONS, 1e-3, "refused", "refused"),
+    "mm as m": (POSITIONS, 1e3, "refused", "refused"),
+    "m as cm": (POSITIONS, 1e-2, "refused", "refused"),
+    "cm as m": (POSITIONS, 1e2, "refused", "passes"),
+    "cm as mm": (POSITIONS, 0.1, "refused", "passes"),
+    "mm as cm": (POSITIONS, 10, "refused", "passes"),
+    "deg as rad": (ANGLES, DEG, "refused", "refused"),
+    "rad as deg": (ANGLES, 1 / DEG, "refused", "noted"),
+    "x in m": (["x_mm"], 1e-3, "refused", "noted"),
+    "yaw in deg": (["q_yaw_rad"], DEG, "refused", "refused"),
+    "yaw as deg": (["q_yaw_rad"], 1 / DEG, "refused", "noted"),
+}
+
+
+def outcome(path, table, drawing):
+    """What is said of records, and whether they pass all the same."""
+    table.to_csv(path, index=False)
+    try:
+        lines = checked(read_recording(path, drawing), drawing)[1]
+    except IksamplesError as error:
+        return "refused", [str(error)]
+    return ("noted" if lines else "passes"), lines
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("case", UNITS)
+def test_whole_columns_in_another_unit(tmp_path, case, drawn):
+    drawing, _, table = recorded()
+    columns, factor, *expected = UNITS[case]
+    table[columns] *= factor
+    assert (
+        outcome(tmp_path / "arm.csv", table, drawing if drawn else None)[0] == expected[not drawn]
+    )
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("pair", [("x_mm", "y_mm"), ("q_yaw_rad", "q_elbow_rad")])
+def test_swapped_names(tmp_path, pair, drawn):
+    drawing, _, table = recorded()
+    swapped = table.rename(columns=dict([pair, pair[::-1]]))
+    found, _ = outcome(tmp_path / "arm.csv", swapped, drawing if drawn else None)
+    assert found == ("refused" if drawn else "passes")
+
+
+@pytest.mark.parametrize(
+    ("column", "drawn", "passes", "named"),
+    [
+        ("z_mm", True, 15, 20),
+        ("z_mm", False, 15, 30),
+        ("q_elbow_rad", True, 0.2, 0.4),
+        ("q_elbow_rad", False, 0.3, 0.4),
+    ],
+)
+def test_how_far_off_a_record_has_to_be(tmp_path, column, drawn, passes, named):
+    """docs/recorded.md has these figures."""
+    drawing, _, table = recorded()
+    for row in (0, 30):
+        for off, lines in ((passes, 0), (named, 1)):
+            odd = table.copy()
+            odd.loc[row, column] += off
+            said = outcome(tmp_path / "arm.csv", odd, drawing if drawn else None)[1]
+            assert sum(f"row {row + 1} (" in line for line in said) >= lines
+            assert bool(said) == bool(lines)
+
+
 def test_another_branch_is_named(tmp_path):
     drawing, arm, table = recorded()
     task_branch = table.copy()

@@ -28,7 +28,9 @@ _WORDS = {
 _LOOSE = 0.1
 _OTHER_FRAME_DEG = 15.0
 _ROUNDS, _DAMPING = 12, 1e-9
-MOST_RAD, _SHORTEST_MM = 4 * np.pi, 5.0
+MOST_RAD, _SHORTEST_MM, _LONGEST_MM = 4 * np.pi, 5.0, 50_000.0
+_FARTHEST = 6.0
+"""How far the tool may move per radian, by how far it comes from the base."""
 _UNLIKE = {"mm": 5.0, "rad": 20.0}
 """How many times farther one column may extend than another, before it is asked about."""
 _GROUP, _APART = 3, 20.0
@@ -211,7 +213,8 @@ def _implausible(recording: Recording) -> Iterator[str]:
     """What units cannot be as they are said; without a drawing nothing else can tell.
 
     Raises:
-        IksamplesError: A joint turns farther than any does, or records are of two sizes.
+        IksamplesError: A joint turns farther, or the tool comes less far or farther than of any
+            arm; or records are of two sizes.
     """
     path, turns = recording.table.path, np.array([unit == "rad" for unit in recording.joint_units])
     angles, where = recording.joints[:, turns], _positions(recording)
@@ -221,6 +224,14 @@ def _implausible(recording: Recording) -> Iterator[str]:
         raise IksamplesError(
             f"{path}: {name} turns by {most.max():.4g} rad as its column is said to be, more than "
             "joints do. Is it in degrees?"
+        )
+    reach_mm = float(np.linalg.norm(where, axis=1).max())
+    if not _SHORTEST_MM <= reach_mm <= _LONGEST_MM:
+        less = reach_mm < _SHORTEST_MM
+        raise IksamplesError(
+            f"{path}: the tool comes {reach_mm:.3g} mm from the base as its columns are said to "
+            f"be, {'less' if less else 'farther'} than that of any arm. Are they in "
+            f"{'m, or cm' if less else 'mm'}? Write the unit into the names, such as x_m."
         )
     for what, sizes in (("positions", where), ("angles", angles)):
         norms = np.linalg.norm(sizes, axis=1)
@@ -253,8 +264,7 @@ def _implausible(recording: Recording) -> Iterator[str]:
                 "if that is not what you recorded, one is in another unit than its column says."
             )
     lever_mm = np.ptp(where, axis=0).max() / max(float(np.ptp(angles, axis=0).max()), 1e-12)
-    reach_mm = float(np.linalg.norm(where, axis=1).max())
-    if (angles.size and not 0.05 < lever_mm / reach_mm < 20) or reach_mm < _SHORTEST_MM:
+    if angles.size and not 0.05 < lever_mm / reach_mm < _FARTHEST:
         yield (
             f"the tool moves by {lever_mm:.3g} mm per radian and comes {reach_mm:.3g} mm from the "
             "base: if that is no arm like yours, a unit is not what its column says."

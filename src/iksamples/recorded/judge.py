@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.target import Target
@@ -106,6 +107,8 @@ def beginning(whole: SampleSet, rows: Any) -> SampleSet:
     return replace(whole, x=whole.x[rows], joints=whole.joints[rows])
 
 
+# Hundreds of small matrices: a second thread costs more than it brings, on a busy machine by far.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def judged(
     study: Study, recording: Recording, task: Task | None
 ) -> "tuple[pd.DataFrame, dict[str, str]]":
