@@ -186,3 +186,23 @@ def test_settings_that_records_have_no_use_for(section):
     settings = {"name": "s", "samples": {"recorded": {"path": "x.csv"}}} | section
     with pytest.raises(IksamplesError, match=r"is of no use with .samples\.recorded."):
         parse_study(settings)
+
+
+@pytest.mark.slow
+def test_a_folder_needs_no_study(tmp_path):
+    sockets(tmp_path)
+    options = ["--robot", "config/robots/panda.urdf", "--subsets", "3", "--of", "mean"]
+    asked = ["size", str(tmp_path), *options, "--tolerance-mm", "1"]
+    unsaid = CliRunner().invoke(app, asked)
+    assert "say how far apart the two sockets are" in str(unsaid.exception)
+    said = CliRunner().invoke(app, [*asked, "--socket-distance-mm", "50"])
+    assert said.exit_code == 0, (said.output, said.exception)
+    assert "96 postures with the tool in the sockets of 4 places" in said.output
+    # What a study of the same says of the most postures that are learned from.
+    study = study_of(tmp_path, subsets=3)
+    most = study.samples.model_copy(update={"sizes": [72]})
+    learned = learning_curve(study.model_copy(update={"samples": most})).judged
+    part = said.output.split("\ncalibrated")[1].splitlines()
+    row = next(line.split() for line in part if line.split()[:1] == ["72"])
+    own = learned[learned["method"] == "calibrated"].groupby("seed")["error_mm"].mean()
+    assert float(row[-3]) == pytest.approx(own.median(), rel=5e-3)

@@ -29,7 +29,8 @@ def size(
         Path | None,
         typer.Argument(
             help="Records of an arm (CSV or Parquet): x_mm, y_mm, z_mm and q1_rad, q2_rad, ..., or "
-            "in other units that the names say, such as x_m and q1_deg; or a LeRobot data set."
+            "in other units that the names say, such as x_m and q1_deg; a LeRobot data set; or a "
+            "folder of postures in sockets."
         ),
     ] = None,
     curve: Annotated[
@@ -54,6 +55,9 @@ def size(
             "is the drawing.",
         ),
     ] = False,
+    socket_distance_mm: Annotated[
+        float | None, typer.Option(help="Distance between the tool's two sockets [mm].")
+    ] = None,
     subsets: Annotated[int, typer.Option(help="Random orders of the records.")] = 20,
     seed: Annotated[int, typer.Option(help="Seed of these orders.")] = 0,
     of: Annotated[
@@ -86,7 +90,10 @@ def size(
         "success_share": success_share,
         "confidence": confidence,
     }
-    where = "--tolerance, --success-share, --confidence, --of, --joint-unit, --subsets or --seed"
+    where = (
+        "--tolerance, --success-share, --confidence, --of, --joint-unit, --socket-distance-mm, "
+        "--subsets or --seed"
+    )
     if curve is not None:
         study = parse_study({"name": "recorded", "tolerance": asked}, where)
         _size_curve(study, curve, given)
@@ -95,7 +102,16 @@ def size(
     if set(given) - {"mm"}:
         raise IksamplesError("records are judged in mm; say what is allowed with --tolerance-mm.")
     from iksamples.recorded.learn import sized_study
+    from iksamples.recorded.sockets import is_sockets
 
+    sockets: dict[str, Any] = {}
+    if is_sockets(recording):
+        if robot is None or socket_distance_mm is None:
+            raise IksamplesError(
+                f"{recording}: postures in sockets; name the arm with --robot, and say how far "
+                "apart the two sockets are with --socket-distance-mm."
+            )
+        sockets = {"kind": "sockets", "socket_distance_mm": socket_distance_mm}
     settings = {
         "name": "recorded",
         "tolerance": asked | {"of": of},
@@ -107,6 +123,7 @@ def size(
                 "subsets": subsets,
                 "joint_unit": joint_unit,
                 "tool_from_drawing": tool_from_drawing,
+                **sockets,
             },
         },
         **arm_settings(robot, tip_link),

@@ -79,8 +79,15 @@ def sized_study(settings: dict[str, Any], where: str) -> Study:
         IksamplesError: A setting is wrong, or the recording cannot be read.
     """
     study = parse_study(settings | _USUAL, where)
-    recording, _ = read_checked(study, "robot" in settings)
-    n = len(recording) - n_held(study, len(recording))
+    recorded = study.samples.recorded
+    assert recorded is not None
+    if recorded.kind == "sockets":
+        places = read_places(recorded, study_chain(study))
+        counts = sorted(sum(map(len, sockets)) for sockets in places.values())
+        n = sum(counts[: len(counts) - n_held_places(recorded, places)])
+    else:
+        recording, _ = read_checked(study, "robot" in settings)
+        n = len(recording) - n_held(study, len(recording))
     sizes = np.unique(np.geomspace(_FEWEST, n, _MOST_SIZES).round().astype(int)).tolist()
     samples = settings["samples"] | {"sizes": sizes}
     return parse_study(settings | _USUAL | {"samples": samples}, where)
@@ -106,7 +113,7 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     if Path(settings.path).is_dir():
         raise IksamplesError(
             f"{settings.path}: a folder, and no LeRobot data set (no meta/info.json). Postures in "
-            "sockets take a study with samples.recorded.kind: sockets."
+            "sockets are for iksamples size, or a study with samples.recorded.kind: sockets."
         )
     recording, doubts = checked(read_recording(settings.path, drawing, settings.columns), drawing)
     if drawing is None:

@@ -37,6 +37,11 @@ _STREAM = 60
 _MOST_BYTES = 50_000_000
 
 
+def is_sockets(folder: Path) -> bool:
+    """Whether a folder holds postures of a tool with two sockets."""
+    return folder.is_dir() and any((place / FILES[0]).exists() for place in folder.iterdir())
+
+
 def read_places(settings: Recorded, drawing: SerialChain) -> Places:
     """Reads a folder for each place, with a file of joint values [rad or mm] for each socket.
 
