@@ -419,7 +419,10 @@ def test_the_front_page_has_every_study(project: Path, tmp_path: Path) -> None:
     assert not list(reports.glob(".unfinished*"))
 
 
-def test_the_command_writes_report_and_front_page(project: Path, tmp_path: Path) -> None:
+def test_the_command_writes_report_and_front_page(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(project)
     results = project / "results/bare"
     output = tmp_path / "reports/bare"
     step(
