@@ -133,6 +133,19 @@ def test_names_that_a_mapping_resolves(tmp_path):
         read_recording(tmp_path / "arm.parquet", drawing, {"x_mm": "ty2"})
 
 
+def test_columns_of_other_names_are_told_with_the_option_that_resolves_them(tmp_path):
+    drawing, _, table = recorded()
+    table.set_axis(["tx", "ty", "tz", "J1", "J2", "J3"], axis=1).to_csv(tmp_path / "arm.csv")
+    for arm in (drawing, None):
+        with pytest.raises(IksamplesError, match=r"no column x_mm.*--column x_mm=NAME"):
+            read_recording(tmp_path / "arm.csv", arm)
+
+
+def test_a_folder_of_nothing(tmp_path):
+    said = CliRunner().invoke(app, ["size", str(tmp_path)])
+    assert "neither a LeRobot data set" in str(said.exception)
+
+
 @pytest.mark.parametrize("form", ["angles", "quaternion"])
 def test_orientations(tmp_path, form):
     from scipy.spatial.transform import Rotation

@@ -53,7 +53,7 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
     # An angle is found in radians and told in degrees.
     unit = {"rad": "deg"}.get(kind, kind)
     places = [Place("n", "", _N), Place("seed", "", _SEED), Place("error", kind, ["error"])]
-    columns, table = find_columns(table, places)
+    columns, table = find_columns(table, places, "Name them so, error_mm where it is in mm.")
     at = [column.at for column in columns]
     failed = [str(row[at[2]]).strip().lower() in _INFINITE for row in table.rows]
     rows = [

@@ -16,7 +16,9 @@ from iksamples.recorded.judge import judged, n_held, orders
 from iksamples.recorded.lerobot import is_lerobot, read_lerobot
 from iksamples.recorded.read import Recording, read_recording
 from iksamples.recorded.sockets import (
+    FILES,
     Places,
+    is_sockets,
     judged_sockets,
     n_held_places,
     odd_postures,
@@ -112,8 +114,11 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
         return checked(read_lerobot(settings, drawing), drawing)
     if Path(settings.path).is_dir():
         raise IksamplesError(
-            f"{settings.path}: a folder, and no LeRobot data set (no meta/info.json). Postures in "
-            "sockets are for iksamples size, or a study with samples.recorded.kind: sockets."
+            f"{settings.path}: postures in sockets; they are for iksamples size, or a study with "
+            "samples.recorded.kind: sockets."
+            if is_sockets(Path(settings.path))
+            else f"{settings.path}: a folder, but neither a LeRobot data set (meta/info.json) nor "
+            f"postures in sockets (a folder for each place with {' and '.join(FILES)})."
         )
     recording, doubts = checked(read_recording(settings.path, drawing, settings.columns), drawing)
     if drawing is None:

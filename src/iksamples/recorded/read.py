@@ -30,6 +30,10 @@ _POSITION, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _JOINT = re.compile(r"(?:q|joint|j)_?\d+|q_\w+|joint_\w+")
 _UNIT_LENGTH = 0.01
+_REMEDY = (
+    "Name them so (x_m, q1_deg in other units), or say which they are by --column x_mm=NAME or "
+    "samples.recorded.columns."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +131,7 @@ def read_recording(
     if turned == _ANGLES:
         places += [Place(name, "rad", [name]) for name in turned]
     joints = _joint_places(table, drawing, turned)
-    found, table = find_columns(table, places + joints)
+    found, table = find_columns(table, places + joints, _REMEDY)
     n_inputs = len(places)
     raw = table.numbers([column.at for column in found], MOST)
     if len(raw) < fewest:

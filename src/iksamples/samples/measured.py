@@ -124,8 +124,17 @@ def _is_ours(path: Path) -> bool:
         return False
 
 
-def find_columns(table: Table, places: Sequence[Place]) -> tuple[list[Column], Table]:
+def find_columns(
+    table: Table,
+    places: Sequence[Place],
+    remedy: str = "Name them so; other units go into the names, such as x_m or q1_deg.",
+) -> tuple[list[Column], Table]:
     """Where each wanted column is and in what unit; and the table without its row of units.
+
+    Args:
+        table: The table.
+        places: The wanted columns.
+        remedy: What is said to do where one is missing.
 
     Raises:
         IksamplesError: One is missing, stands twice, or is said to be in a unit of another kind.
@@ -143,7 +152,7 @@ def find_columns(table: Table, places: Sequence[Place]) -> tuple[list[Column], T
             both = " and ".join(table.names[i] for i in at)
             raise IksamplesError(f"{table.path}: the columns {both} mean the same; keep one.")
         if not at:
-            missing.append(f"{wanted}_{unit}")
+            missing.append(f"{wanted}_{unit}".rstrip("_"))
             continue
         said = names[at[0]][1] or None
         if said and said not in UNITS[unit]:
@@ -155,7 +164,7 @@ def find_columns(table: Table, places: Sequence[Place]) -> tuple[list[Column], T
     if missing:
         raise IksamplesError(
             f"{table.path}: no column {', '.join(missing)}; there are "
-            f"{', '.join(table.names)[:200]}. Other units go into the names, such as x_m or q1_deg."
+            f"{', '.join(table.names)[:200]}. {remedy}"
         )
     return found, table
 
