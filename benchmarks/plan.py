@@ -1,22 +1,27 @@
 """Holds plans against runs: memory and processor time of each step, for studies of all shapes.
 
-    python benchmarks/plan.py                # about 15 minutes of one core; writes docs/plan.md
-    python benchmarks/plan.py --kept FOLDER  # runs only those whose results are not in FOLDER
+    python benchmarks/plan.py                # about 10 minutes of one core; writes docs/plan.md
+    python benchmarks/plan.py --kept FOLDER  # runs only what has not run in FOLDER yet
 
-Each study runs by Snakemake, one job at a time. Memory is the largest that Snakemake saw of a job.
-Time is that of the processor, user and system, so that it says the same on a loaded machine; it
-lacks what a job does after Snakemake's last look, at most half a second, and Snakemake itself.
+Each study runs by Snakemake, one job at a time, and every process says at its end what it has used
+(``getrusage``): memory at its largest, and time of the processor, user and system, which a loaded
+machine changes less than time on the clock. Snakemake itself is not in it.
 """
 
+import argparse
 import json
 import os
+import platform
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from iksamples.plan import plan_study
+from iksamples.study import Study, read_study
 from iksamples.study.reading import read_settings
 from iksamples.study.study import overlay
 
@@ -150,3 +155,74 @@ def _records() -> pd.DataFrame:
     from measured_arms import recorded
 
     return recorded(n=420)[2]
+
+
+def compared(name: str, place: Path) -> dict[str, Any]:
+    """A study's plan beside what its processes used: its largest job, its longest step, all."""
+    study = read_study(place / "study.json")
+    plan = {step.step: step for step in plan_study(study).steps}
+    memory, seconds = dict[str, float](), dict[str, float]()
+    for line in (place / "jobs.jsonl").read_text(encoding="utf-8").splitlines():
+        job = json.loads(line)
+        step = _rule(job["step"], job["arguments"], study)
+        memory[step] = max(memory.get(step, 0.0), job["max_rss_mb"])
+        seconds[step] = seconds.get(step, 0.0) + job["cpu_s"]
+    large, long = max(memory, key=memory.__getitem__), max(seconds, key=seconds.__getitem__)
+    return {
+        "study": name,
+        "largest job": large,
+        "planned [MB]": round(plan[large].memory_mb),
+        "measured [MB]": round(memory[large]),
+        "longest step": long,
+        "planned [s]": round(plan[long].seconds, 1),
+        "measured [s]": round(seconds[long], 1),
+        "all planned [s]": round(sum(plan[step].seconds for step in seconds)),
+        "all measured [s]": round(sum(seconds.values())),
+    }
+
+
+def _rule(step: str, arguments: list[str], study: Study) -> str:
+    """The rule that called a command."""
+    if step == "evaluate" and any(one.startswith("--method=") for one in arguments):
+        return "evaluate_untrained"
+    if step == "readings":
+        return {"report": "page"}.get(arguments[0], arguments[0])
+    if study.samples.recorded:
+        return {"answer": "size", "report": "describe"}.get(step, step)
+    return step
+
+
+def main() -> None:
+    """Runs, reads and writes."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--kept", type=Path, help="folder of runs, which stay")
+    parser.add_argument("studies", nargs="*", help=f"which of {', '.join(STUDIES)}; default: all")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        base, rows = options.kept or Path(folder), []
+        for name in options.studies or STUDIES:
+            if not (base / name / "done").exists():
+                run(name, base / name)
+                (base / name / "done").touch()
+            rows.append(compared(name, base / name))
+    head = list(rows[0])
+    lines = [
+        "# Plans against runs",
+        "",
+        f"Written by `{' '.join(['python benchmarks/plan.py', *options.studies])}`; do not edit.",
+        "",
+        f"{os.cpu_count()} cores, {platform.platform()}, load {os.getloadavg()[0]:.1f} at the end; "
+        "one job at a time. Memory is a process's largest; time is that of the processor, user and "
+        "system, by the process's own account, without Snakemake itself. The constants of the plan "
+        "were read off runs of these studies on this machine: this says how well one formula fits "
+        "all these shapes, not how well it foretells others.",
+        "",
+        f"| {' | '.join(head)} |",
+        f"|{'---|' * len(head)}",
+        *(f"| {' | '.join(str(value) for value in row.values())} |" for row in rows),
+    ]
+    (ROOT / "docs" / "plan.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

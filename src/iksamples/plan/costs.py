@@ -144,7 +144,7 @@ def fit_bytes(study: Study, shape: Shape, name: str, method: Method) -> Terms:
 def kernel_seconds(kind: str, n: int) -> float:
     """Of one fit of a method that is not trained to n samples."""
     if kind in ("rbf", "gaussian-process", "residual"):
-        tuned = 0.0 if kind == "rbf" else 60 * (0.004 + min(n, 256) ** 3 / _SOLVED * 4)
+        tuned = 0.0 if kind == "rbf" else 60 * (0.004 + min(n, 256) ** 3 / _SOLVED)
         return tuned + (min(n, MOST_SAMPLES) ** 3 / _SOLVED if n <= MOST_SAMPLES else 0.0)
     return 0.01 + 1e-5 * n
 

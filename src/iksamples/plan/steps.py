@@ -44,7 +44,7 @@ _NEURON = 55e3
 """Memory of a search for the worst case [bytes], times a power of the hidden neurons."""
 _TABLE_PROOF, _TABLE_CELL = 0.05, 7e-4
 """The same of a table, beside its cells and by cell."""
-_MAP = {"adam": 0.15, "levenberg-marquardt": 1.5}
+_MAP = {"adam": 0.15, "levenberg-marquardt": 2.5}
 """What is proved for pictures of one set of samples, where a network has 115 weights."""
 _RUN = 0.1
 """Logging of a method on one set of samples to MLflow."""
