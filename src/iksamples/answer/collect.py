@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from pandas.api import types
 
 from iksamples.arm.chain import Floats
 from iksamples.columns import ANGLES, ERRORS, RUNS
@@ -110,15 +111,14 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     """
     file = Path(results) / FILE
     table = stored_table(file, tuple(RUNS))
-    try:
-        table[[name for name in RUNS if name not in _NAMES]].astype(float)
-        sizes = table[["n_samples", "n_trained", "seed", "n_points"]].to_numpy(float)
-        sound = bool((sizes == np.round(sizes)).all()) and not table[list(_RUN)].isna().any(
-            axis=None
-        )
-        sound = sound and not table.duplicated(_RUN).any() and len(table) > 0
-    except (TypeError, ValueError):
-        sound = False
+    kinds = dict.fromkeys(RUNS, types.is_numeric_dtype)
+    kinds |= dict.fromkeys(_NAMES, types.is_string_dtype)
+    kinds |= dict.fromkeys(("diverged", "verified"), types.is_bool_dtype)
+    sound = len(table) > 0 and all(is_kind(table[name]) for name, is_kind in kinds.items())
+    sound = sound and not table[_RUN].isna().any(axis=None) and not table.duplicated(_RUN).any()
+    if sound:
+        counts = table[["n_samples", "n_trained", "seed", "n_points"]].to_numpy(float)
+        sound = bool((counts == np.round(counts)).all())
     if not sound:
         raise IksamplesError(f"{file}: not as it was written. Run the study again.")
     return table
