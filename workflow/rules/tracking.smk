@@ -10,6 +10,10 @@ OUTPUTS
 
 
 rule track:
+    """Log the study, its variants and sizes to MLflow; what is there already is kept.
+
+    On a cluster too, where the command was typed: SQLite is no file for several machines.
+    """
     input:
         runs="results/{study}/runs.parquet",
         answer="results/{study}/answer.json",
@@ -19,9 +23,6 @@ rule track:
         "results/{study}/logs/track.log",
     benchmark:
         "results/{study}/benchmarks/track.jsonl"
-    """Log the study, its variants and sizes to MLflow; what is there already is kept."""
-
-    # On a cluster too, where it was typed: SQLite is no file for several machines.
     localrule: True
     resources:
         **asked(STUDY, "track"),
