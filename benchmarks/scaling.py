@@ -108,7 +108,7 @@ def jobs(folder: Path) -> None:
             if {"parts", "certificates"} & set(file.parts):
                 continue  # gone once they are joined
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.mkdir() if file.name == "figures" else file.touch()
+            file.mkdir(exist_ok=True) if file.name == "figures" else file.touch()
         spent(folder, [*typed, "--touch"])
         idle = [spent(folder, typed)[0] for _ in range(3)]
         n_jobs = 11 + (2 * parts if parts > 1 else 0)
