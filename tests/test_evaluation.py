@@ -188,6 +188,16 @@ def test_numbers_do_not_depend_on_how_much_is_held_at_once(sizes, rng, tmp_path,
         )
 
 
+def test_a_point_without_an_answer_is_no_point_less(task):
+    """The others alone would make a method that gives up look better than one that tries."""
+    errors = pd.DataFrame({"seed": [0, 0, 1, 1], "error_mm": [1.0, np.nan, 1.0, 2.0]})
+    table = summarise(errors.assign(path="heart"), errors).set_index(["region", "seed"])
+    for region in ("heart", "cube"):
+        assert table.loc[(region, 0), "error_max_mm"] == np.inf
+        assert table.loc[(region, 0), "error_mean_mm"] == np.inf
+        assert table.loc[(region, 1), "error_max_mm"] == 2
+
+
 @pytest.mark.parametrize("shape", ["double_rectangle", "heart", "circle", "lemniscate", "helix"])
 def test_every_path_fits_every_workspace(shape, task):
     """A path that says nothing of its size lies in the workspace, and closes but for the helix."""

@@ -1,6 +1,8 @@
 """Methods other than the network: what they answer."""
 
+import math
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -12,8 +14,8 @@ from iksamples.evaluation.errors import cube_errors, send, summarise, track_path
 from iksamples.methods import predictor as predictor_module
 from iksamples.methods import scattered
 from iksamples.methods.grid import tensor_grid
-from iksamples.methods.predictor import NotApplicableError, Single
-from iksamples.methods.registry import KINDS, fit
+from iksamples.methods.predictor import NotApplicableError, Single, attempt
+from iksamples.methods.registry import KINDS, fit, fit_each
 from iksamples.samples.record import grid_samples, region_points
 from iksamples.study import MethodKind, parse_study
 from iksamples.task import study_task
@@ -312,6 +314,41 @@ def test_rbf_names_coinciding_and_flat_samples(study, task):
     flat[:, 2] = flat[:, 0]
     with pytest.raises(IksamplesError, match="rbf: cannot interpolate mine"):
         fit("rbf", task, with_points(samples, flat, samples.joints))
+
+
+def test_samples_that_defeat_a_method_leave_the_reason_and_no_answer(study, task):
+    samples = grid_samples(study, task, 3)
+    flat = samples.x.copy()
+    flat[:, 2] = flat[:, 0]
+    failed = fit_each("rbf", task, with_points(samples, flat, samples.joints), ())
+    assert failed.failed.startswith("rbf: cannot interpolate mine")
+    answers = failed.predict(samples.x)
+    assert answers.shape == (1, 27, 3)
+    assert np.isnan(answers).all()
+    assert fit_each("rbf", task, samples, ()).failed == ""
+
+
+@pytest.mark.parametrize(
+    ("fault", "is_a_result"),
+    [
+        (lambda: np.linalg.inv(np.zeros((2, 2))), True),
+        (lambda: np.linalg.cholesky(-np.eye(2)), True),
+        (lambda: math.exp(1e4), True),
+        (lambda: len(None), False),
+        (lambda: np.zeros(2)[3], False),
+        (lambda: np.zeros(2) + np.zeros(3), False),
+        (lambda: np.empty((1 << 44, 1 << 4)), False),
+        (lambda: Path("/absent/file").read_text(), False),
+    ],
+)
+def test_only_what_stems_from_the_numbers_is_a_result(fault, is_a_result):
+    if is_a_result:
+        found, why = attempt("table on grid3", fault)
+        assert found is None
+        assert why.startswith("table on grid3: ")
+    else:
+        with pytest.raises((TypeError, IndexError, ValueError, MemoryError, OSError)):
+            attempt("table on grid3", fault)
 
 
 @pytest.mark.parametrize("kind", ["rbf", "gaussian-process"])

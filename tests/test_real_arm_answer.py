@@ -42,7 +42,7 @@ def outcomes_of(method, errors, confident_mm=np.nan):
             "method": method, "design": "grid", "label": f"grid{round(n ** (1 / 3))}",
             "n_samples": n, "seed": seed, "error_mm": float(error), "certified": False,
             "region_share": 1.0, "n_points": 520, "attained_mm": float(error),
-            "confident_mm": confident_mm,
+            "confident_mm": confident_mm, "failed": "",
         }
         for n, arms in errors.items()
         for seed, error in enumerate(arms)

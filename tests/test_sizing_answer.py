@@ -45,6 +45,7 @@ def make_rows(errors, method="network", design="grid", certified=False, lower=No
                 "region_share": 1.0,
                 "n_points": 8200,
                 "attained_mm": float(error if lower is None else lower),
+                "failed": "" if np.isfinite(error) else "it diverged",
             }
             for m, seeds in errors.items()
             for seed, error in enumerate(seeds)
@@ -114,6 +115,12 @@ def test_a_diverged_training_counts_as_failed():
     (size,) = sizes_of(make_study(), make_rows({2: [*met(19, 19), np.inf]}))
     assert (size.n_seeds, size.n_met, size.meets) == (20, 19, False)
     assert np.isinf(size.error_worst_mm)
+    assert (size.n_failed, size.why) == (1, "it diverged")
+    some = answer(make_study(), make_rows({2: [*met(19, 19), np.inf], 3: met(20)}))
+    assert len(some.failures) == 2
+    assert some.failures[0].startswith("1 of 2 combinations")
+    assert "grid2: 1 of 20 trainings" in some.failures[1]
+    assert answer(make_study(), make_rows({2: met(3)})).failures == []
     all_of_them = answer(make_study(), make_rows({2: [np.inf] * 20}))
     content = json.loads(all_of_them.to_json())
     assert content["variants"][0]["sizes"][0]["tolerance_bound_mm"] is None

@@ -140,7 +140,7 @@ class TestBelief:
             (np.array([9, 5, 3, 2, 1.5, 1.4, 1.39]), "levelled off"),
             (np.array([9, 8, 7, 6.2, 5.5, 5, 2]), "falls unevenly"),
             (9 * np.exp(-np.cumsum(STEEPER)), "its learning curve is wrong at"),
-            (np.array([9, 5, 3, 2, 1.5, 1.1, np.inf]), "diverged"),
+            (np.array([9, 5, 3, 2, 1.5, 1.1, np.inf]), "failed"),
             (0 * N, "no error at all"),
         ],
     )

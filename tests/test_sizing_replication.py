@@ -40,6 +40,7 @@ def trainings(shares, n=200, good=1.0, bad=9.0):
                 "region_share": 1.0,
                 "n_points": 8200,
                 "attained_mm": good if i < met else bad,
+                "failed": "",
             }
             for samples, met in shares.items()
             for i in range(n)
@@ -166,6 +167,7 @@ def outcomes_of(rng, medians, seeds, spread=0.3):
             "region_share": 1.0,
             "n_points": 8200,
             "attained_mm": error,
+            "failed": "",
         }
     )
 

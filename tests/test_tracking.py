@@ -402,11 +402,11 @@ def test_a_diverged_seed_has_no_numbers_that_are_none(
     size = runs["network, grid2"]
     sound = history[history["seed"] != 5].groupby("epoch")["train_loss"].mean()
     assert size.data.metrics["loss/train_loss"] == pytest.approx(sound[EPOCHS])
-    assert size.data.metrics["n_diverged"] == 1
+    assert size.data.metrics["n_failed"] == 1
     client = connect(uri)
     text = Path(client.download_artifacts(size.info.run_id, "seeds.csv")).read_text()
     table = pd.read_csv(io.StringIO(text)).set_index("seed")
-    assert table.loc[5, "diverged"].all()
+    assert table.loc[5, "failed"].notna().all()
     curve = client.get_metric_history(size.info.run_id, "seeds/workspace_error_mean_mm")
     assert [point.step for point in curve] == [3, 4]
 

@@ -109,7 +109,7 @@ RUNS: dict[str, Column] = {
     "spacing_mm": Column("mm", "distance between neighbours of an even grid; empty for others"),
     "fill_distance_mm": Column("mm", "largest distance from a point to its nearest sample"),
     "seed": Column("-", "seed of the network; 0 for a method that leaves nothing to chance"),
-    "diverged": Column("-", "whether its weights are not finite: a training that failed"),
+    "failed": Column("-", "why there is no result, which meets no tolerance; empty: there is one"),
     "region": Column("-", "`workspace`, or the name of a path"),
     "region_share": Column("-", "share of the workspace that can be used, which all else is over"),
     "n_points": Column("-", "points at which errors are measured"),

@@ -52,13 +52,17 @@ class Size(Part):
     meets: bool = Field(description="Whether that reaches `success_share`.")
     tolerance_bound_mm: Number = Field(
         description="Smallest tolerance that would be met at that share and confidence [mm]; null: "
-        "too few trainings for any, or too many diverged."
+        "too few trainings for any, or too many failed."
     )
     error_best_mm: Number = Field(description="Smallest error of a training [mm].")
     error_median_mm: Number = Field(description="Median over trainings [mm].")
     error_worst_mm: Number = Field(
-        description="Largest error of a training [mm]; null: one diverged."
+        description="Largest error of a training [mm]; null: one failed."
     )
+    n_failed: int = Field(
+        0, description="Trainings without a result, which count as not meeting the tolerance."
+    )
+    why: str = Field("", description="Why, for most of them; empty: all have a result.")
 
     @property
     def certified(self) -> bool:
@@ -183,6 +187,11 @@ class Answer(Part):
         None, description="What no samples can beat; null: the arm is its drawing."
     )
     headline: str = Field(description="The answer in one sentence.")
+    failures: list[str] = Field(
+        [],
+        description="How many combinations of method and samples have a result; then those that "
+        "have none, or not of every training, and why. Empty: all have.",
+    )
     variants: list[VariantAnswer] = Field(
         description="Every method on every design, in the study's order."
     )
@@ -278,7 +287,7 @@ def recommend(results: str | Path) -> str:
     """
     answer = read_answer(results)
     blocks = [answer.floor.sentence] if answer.floor else []
-    blocks.append(answer.headline)
+    blocks.append("\n".join([answer.headline, *answer.failures]))
     for one in answer.variants:
         lines = [
             f"{one.method}, {one.design}: {one.description}",

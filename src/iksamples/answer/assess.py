@@ -22,7 +22,7 @@ from iksamples.answer.answer import (
 from iksamples.answer.collect import WORKSPACE, Variant, outcomes, read_runs, variants
 from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
-from iksamples.answer.sentences import floor_told, headline, of_itself, told
+from iksamples.answer.sentences import failures, floor_told, headline, of_itself, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.columns import RUNS
 from iksamples.evaluation.errors import CUBE, FLOOR
@@ -100,6 +100,7 @@ def answer(
         region_share=share,
         floor=floor,
         headline=headline(study, methods, confidence, share),
+        failures=failures(study, methods),
         variants=methods,
         comparisons=_comparisons(study, of_variants),
     )
@@ -118,7 +119,7 @@ def read_floor(study: Study, results: str | Path) -> Floor | None:
     if not study.arm.repeats:
         rows = stored_table(Path(results) / FLOOR / "errors.parquet")
         rows["region"] = rows["region"].replace({CUBE: WORKSPACE})
-        rows = rows.reindex(columns=list(RUNS)).assign(diverged=False)
+        rows = rows.reindex(columns=list(RUNS)).assign(failed="")
         errors = outcomes(study, rows)["error_mm"].to_numpy(float)
     middle, worst = float(np.median(errors)), float(errors.max())
     return Floor(

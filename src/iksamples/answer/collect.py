@@ -1,6 +1,6 @@
 """One tidy table per study: what every training came to, what is proved, and how it is judged.
 
-It is the only place where certificates are joined to errors and where diverged seeds are marked.
+It is the only place where certificates are joined to errors and where what failed is marked.
 """
 
 from pathlib import Path
@@ -36,6 +36,8 @@ _SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]
 _AT_ONCE = 2**20
 """Samples of all networks whose errors are held at once."""
+_DIVERGED = "the training diverged: its weights are not finite"
+_NO_ANSWER = "at some points there is no finite answer"
 _ROUNDING = 1e-4
 """Errors over the workspace are kept in single precision."""
 
@@ -56,8 +58,8 @@ def collect(study: Study, results: str | Path) -> pd.DataFrame:
 
     Returns:
         Columns ``columns.RUNS``, a row per method, design, set of samples, seed and region, in the
-        study's order of methods and designs, fewest samples first. A method that cannot use some
-        samples has no row there.
+        study's order of methods and designs, fewest samples first. A method that is not made for
+        some samples has no row there; one that failed on them has, with the reason.
 
     Raises:
         IksamplesError: The study is not finished, or a certificate contradicts what was measured.
@@ -79,7 +81,7 @@ def collect(study: Study, results: str | Path) -> pd.DataFrame:
         raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
     bounds = _bounds(certificates(study, results))
     rows = rows.merge(bounds, on=[*_KEYS, "region"], how="left")
-    rows["verified"] = rows["verified"].eq(True) & ~rows["diverged"]
+    rows["verified"] = rows["verified"].eq(True) & rows["failed"].eq("")
     rows.loc[~rows["verified"], _SUP] = np.nan
     _require_agreement(rows)
     return rows[list(RUNS)]
@@ -134,13 +136,16 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
     trained = cell.method in networks(study)
     errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
-    sound = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
+    finite = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
+    failed = np.where(finite, "", _NO_ANSWER)
+    if "failed" in errors:
+        failed = np.where(errors["failed"].ne(""), errors["failed"], failed)
     learns = KINDS[study.all_methods[cell.method].kind].needs_samples
     n_samples = n_trained = samples.n_samples if learns else 0
     if trained:
         members = cell.table("members").set_index("seed")
         n_trained = int(members["n_trained"].iloc[0])
-        sound &= ~errors["seed"].map(members["diverged"]).to_numpy(bool)
+        failed = np.where(errors["seed"].map(members["diverged"]), _DIVERGED, failed)
     rows = pd.DataFrame(
         {
             "method": cell.method,
@@ -151,7 +156,7 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
             "spacing_mm": samples.spacing_mm,
             "fill_distance_mm": samples.fill_distance_mm,
             "seed": errors["seed"].astype("int64"),
-            "diverged": ~sound,
+            "failed": failed,
             "region": errors["region"].replace({CUBE: WORKSPACE}).astype(str),
             "region_share": samples.region_share,
             "n_points": [_points_measured(study, where) for where in errors["region"]],
@@ -203,6 +208,7 @@ COLUMNS = (
     "certified",
     "attained_mm",
     "confident_mm",
+    "failed",
 )
 """Columns of the outcomes; ``outcomes`` says what they hold."""
 
@@ -213,7 +219,7 @@ def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
     For the worst case over the workspace that is the proved upper bound where there is one, and
     else the largest error measured, which is less than the true worst case. Everything else is
     measured. Where the tolerance has an angle, a degree counts as so many millimetres that both are
-    allowed as much. A training that diverged has an infinite error: it failed.
+    allowed as much. What failed has an infinite error.
 
     Args:
         study: The study; its ``tolerance`` says which error.
@@ -223,7 +229,7 @@ def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
         Columns ``COLUMNS``, in the order of ``runs``. ``error_mm`` is what is held against the
         tolerance, ``certified`` whether it is a proved upper bound, and ``attained_mm`` an error
         that is known to occur: the largest of what was measured and the proof's lower bound.
-        ``confident_mm`` is as in ``runs``.
+        ``confident_mm`` and ``failed`` are as in ``runs``.
 
     Raises:
         IksamplesError: The runs are another study's.
@@ -243,7 +249,7 @@ def outcomes(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
     rows[["error_mm", "attained_mm"]] = -np.inf
     rows["certified"] = tolerance.certifiable
     for measured, lower, upper, mm in parts:
-        seen = rows[measured].where(~rows["diverged"], np.inf).fillna(np.inf)
+        seen = rows[measured].where(rows["failed"].eq(""), np.inf).fillna(np.inf)
         proved = rows[upper].notna() & tolerance.certifiable
         attained = seen.clip(lower=rows[lower].fillna(0)).clip(upper=rows[upper].fillna(np.inf))
         rows["error_mm"] = np.fmax(rows["error_mm"], mm * rows[upper].where(proved, seen))

@@ -151,7 +151,7 @@ def untrusted(n_samples: Floats, curves: Floats) -> str:
     if len(n_samples) < FEWEST_SIZES:
         return f"fewer than {FEWEST_SIZES} sizes are no learning curve"
     if not (np.isfinite(curves).all() and (curves > 0).all()):
-        return "trainings diverged, or have no error at all"
+        return "trainings failed, or have no error at all"
     if (np.diff(curve[-_LAST:]) >= 0).any():
         return "its learning curve does not fall from each size to the next"
     exponents = -np.diff(np.log(curve)) / np.diff(np.log(n_samples))

@@ -98,6 +98,28 @@ def headline(
     return f"{_asked(study, variants, confidence, region_share)}: {'; '.join(lead + clauses)}."
 
 
+def failures(study: Study, variants: Sequence[VariantAnswer]) -> list[str]:
+    """How many combinations of method and samples have a result, and why others have none.
+
+    Returns:
+        That, and a line for each that has none, or not of every training; nothing where all have.
+    """
+    every = [(one, size) for one in variants for size in one.sizes]
+    lines = [
+        f"{one.method}, {size.label}: {size.why}"
+        if size.n_failed == size.n_seeds
+        else f"{one.method}, {size.label}: {size.n_failed} of "
+        f"{several(size.n_seeds, trial(study))} without one: {size.why}"
+        for one, size in every
+        if size.n_failed
+    ]
+    whole = sum(not size.n_failed for _, size in every)
+    what = "combinations of method and samples have a result"
+    some = sum(0 < size.n_failed < size.n_seeds for _, size in every)
+    also = f", {some} more not of every {trial(study)}" if some else ""
+    return [f"{whole} of {len(every)} {what}{also}.", *lines] if lines else []
+
+
 def of_itself(study: Study, rows: pd.DataFrame) -> list[str]:
     """What a method that knows how sure it is says of its errors, and whether that holds.
 

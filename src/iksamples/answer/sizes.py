@@ -169,6 +169,7 @@ def _size(n: int, group: pd.DataFrame, tolerance: Tolerance, confidence: float |
     met = group["error_mm"] <= tolerance.error_mm
     undecided = group["certified"] & ~met & (group["attained_mm"] <= tolerance.error_mm)
     n_seeds, n_met = len(errors), int(met.sum())
+    whys = group.loc[group["failed"].ne(""), "failed"]
     fewest: int | None = n_seeds
     rate, lower = float(n_met == n_seeds), None
     if confidence is not None:
@@ -190,4 +191,6 @@ def _size(n: int, group: pd.DataFrame, tolerance: Tolerance, confidence: float |
         error_best_mm=errors[0],
         error_median_mm=float(np.median(errors)),
         error_worst_mm=errors[-1],
+        n_failed=len(whys),
+        why=str(whys.mode().iloc[0]) if len(whys) else "",
     )

@@ -161,7 +161,8 @@ def summarise(waypoints: pd.DataFrame, cube: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         Columns region, seed, error_mean_mm, error_p95_mm, error_p99_mm, error_max_mm, and the same
-        of angle_*_deg where the tool's orientation is asked for.
+        of angle_*_deg where the tool's orientation is asked for. Where there is no answer, the
+        error counts as infinite.
     """
     measures = [name for name in MEASURES if name in cube]
     everything = pd.concat(
@@ -169,7 +170,7 @@ def summarise(waypoints: pd.DataFrame, cube: pd.DataFrame) -> pd.DataFrame:
             waypoints[["path", "seed", *measures]].rename(columns={"path": "region"}),
             cube[["seed", *measures]].assign(region=CUBE),
         ]
-    )
+    ).fillna(dict.fromkeys(measures, np.inf))
     grouped = everything.groupby(["region", "seed"], sort=False)
     statistics = {}
     for measure in measures:
@@ -195,7 +196,8 @@ def evaluate(
 
     Yields:
         The tables waypoints, cube and errors of the next seeds, as ``track_paths``,
-        ``cube_errors`` and ``summarise`` return them.
+        ``cube_errors`` and ``summarise`` return them; the errors of what was fitted say besides
+        how sure it is of itself (confident_mm) and why it failed (failed, empty where it did not).
 
     Raises:
         NotApplicableError: The method cannot use these samples.
@@ -210,13 +212,17 @@ def evaluate(
         count_waypoints(path) for path in study.evaluation.paths.values()
     )
     members = predictor.members if isinstance(predictor, Stacked) else [predictor]
-    said = [one.confident_mm if isinstance(one, Single) else np.nan for one in members]
+    fitted = {
+        seed: one
+        for seed, one in zip(predictor.seeds, members, strict=False)
+        if isinstance(one, Single)
+    }
     for part in in_parts(predictor, n_points, _ROWS):
         tables = _measured(study.evaluation, task, part)
         errors = tables["errors"]
-        if np.isfinite(said).any():
-            said_mm = dict(zip(predictor.seeds, said, strict=True))
-            errors["confident_mm"] = errors["seed"].map(said_mm)
+        if fitted:
+            errors["failed"] = [fitted[seed].failed for seed in errors["seed"]]
+            errors["confident_mm"] = [fitted[seed].confident_mm for seed in errors["seed"]]
             errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
         yield tables
 

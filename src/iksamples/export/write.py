@@ -79,7 +79,7 @@ def choose(
     one, label, why = _variant(answer, method, samples)
     runs = read_runs(results)
     runs = runs[(runs["method"] == one.method) & (runs["label"] == label)]
-    runs = runs[(runs["region"] == WORKSPACE) & ~runs["diverged"]]
+    runs = runs[(runs["region"] == WORKSPACE) & runs["failed"].eq("")]
     if seed is None:
         if runs.empty:
             raise IksamplesError(f"{one.method} on {label}: every training diverged.")

@@ -6,7 +6,7 @@ from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import POSITION_MM, followed
 from iksamples.calibration.fit import fit_samples
 from iksamples.calibration.worst import POINTS, judged_effects, worst_mm
-from iksamples.methods.predictor import Predictor, Single
+from iksamples.methods.predictor import Single
 from iksamples.methods.scattered import regressor
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
@@ -14,7 +14,7 @@ from iksamples.study import Tolerance
 from iksamples.task import Task
 
 
-def nominal(task: Task) -> Predictor:
+def nominal(task: Task) -> Single:
     """Answers with the joints that are right for the drawing; it needs no samples.
 
     On an arm that is its drawing no method can beat it. Where the drawing cannot reach, the answer
@@ -23,7 +23,7 @@ def nominal(task: Task) -> Predictor:
     return Single(lambda x: task.reach(x).joints)
 
 
-def calibrated(task: Task, samples: SampleSet) -> Predictor:
+def calibrated(task: Task, samples: SampleSet) -> Single:
     """Answers with the joints that are right for the fitted drawing (`calibration.fit`).
 
     On the branch of the drawing's, from which they are followed. NaN where either cannot reach, so
@@ -41,7 +41,7 @@ def calibrated(task: Task, samples: SampleSet) -> Predictor:
     return Single(answer, confident_mm=POSITION_MM + left)
 
 
-def residual(task: Task, samples: SampleSet) -> Predictor:
+def residual(task: Task, samples: SampleSet) -> Single:
     """Answers with the drawing's joints plus the process's correction, noise allowed for.
 
     It needs to know nothing of how the arm differs from its drawing: bending, backlash and worn

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from iksamples.arm.chain import Floats
-from iksamples.methods.predictor import NotApplicableError, Predictor, Single
+from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.samples.dataset import SampleSet
 
 
@@ -72,7 +72,7 @@ def tensor_grid(samples: SampleSet, kind: str) -> TensorGrid:
     return TensorGrid(tuple(axes), joints)
 
 
-def multilinear(samples: SampleSet) -> Predictor:
+def multilinear(samples: SampleSet) -> Single:
     """A look-up table: linear along each axis in turn, in the cell that a position lies in.
 
     What a controller without a library would do. A joint value is off by at most h^2 / 8 times the
@@ -91,7 +91,7 @@ def multilinear(samples: SampleSet) -> Predictor:
     )
 
 
-def cubic(samples: SampleSet) -> Predictor:
+def cubic(samples: SampleSet) -> Single:
     """A tensor product of cubic splines, not-a-knot at the ends.
 
     The error of a smooth arm falls as h^4 (de Boor, *A Practical Guide to Splines*, ch. IV and
@@ -118,7 +118,7 @@ def cubic(samples: SampleSet) -> Predictor:
     return Single(NdBSpline(tuple(knots), coefficients, tuple(degrees), extrapolate=True))
 
 
-def polynomial(samples: SampleSet) -> Predictor:
+def polynomial(samples: SampleSet) -> Single:
     """Interpolates with the polynomial of degree m - 1 along each axis of m points.
 
     Evaluated by the barycentric formula (Berrut and Trefethen, "Barycentric Lagrange

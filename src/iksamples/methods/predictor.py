@@ -11,15 +11,40 @@ from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
 
 
+_Fitted = TypeVar("_Fitted")
 _BLOCK = 8192
 """Points answered at once: what a method holds per point (512 kernel values, say) stays small."""
 
 
 class NotApplicableError(IksamplesError):
-    """A method cannot use these samples at all, through no fault of the study.
+    """A method is not made for samples that lie like these, so that it has no result on them."""
 
-    A comparison may record this as the method's result on these samples and go on.
+
+def attempt(what: str, fit: Callable[[], _Fitted]) -> tuple[_Fitted | None, str]:
+    """Fits something, which what was recorded may defeat: too few samples, a singular system.
+
+    That is a result, as an error is, and other methods and samples have theirs. What stems from the
+    machine or from a mistake in the program is none, and is not caught.
+
+    Args:
+        what: Which method on which samples, for the reason.
+        fit: Fits it.
+
+    Returns:
+        What was fitted, and an empty text; or None, and why there is nothing.
+
+    Raises:
+        NotApplicableError: The method is not made for such samples.
     """
+    try:
+        return fit(), ""
+    except NotApplicableError:
+        raise
+    except IksamplesError as error:
+        why = str(error)
+    except (np.linalg.LinAlgError, FloatingPointError, OverflowError) as error:
+        why = f"{what}: {error}."
+    return None, " ".join(why.split())
 
 
 class Predictor(Protocol):
@@ -73,11 +98,13 @@ class Single:
         answer: Joint values (points, joints) for inputs (points, d).
         confident_mm: Worst error over the region that is not exceeded with 95 % confidence, as far
             as the samples tell [mm]; NaN: it does not say.
+        failed: Why it answers nothing; empty: it does.
     """
 
     answer: Callable[[Floats], Floats]
     seeds: tuple[int, ...] = (0,)
     confident_mm: float = float("nan")
+    failed: str = ""
 
     def predict(self, x: ArrayLike, /) -> Floats:
         """Joint values [rad or mm], shape (1, points, joints), for inputs (points, d)."""
@@ -95,11 +122,11 @@ class Stacked:
     """A member for each arm, in the order of their seeds.
 
     Attributes:
-        members: Predictors of one member; the same one where all arms are answered alike.
+        members: One for each seed; the same one where all arms are answered alike.
         seeds: The arms' seeds.
     """
 
-    members: Sequence[Predictor]
+    members: Sequence[Single]
     seeds: tuple[int, ...]
 
     def predict(self, x: ArrayLike, /) -> Floats:

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from iksamples.errors import IksamplesError
 from iksamples.methods import drawing, grid, scattered, trigonometric
-from iksamples.methods.predictor import Predictor, Stacked
+from iksamples.methods.predictor import Single, Stacked, attempt
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
 
@@ -22,7 +24,7 @@ class Kind:
         needs_samples: It learns from the samples at all.
     """
 
-    fit: Callable[[Task, SampleSet], Predictor] | None
+    fit: Callable[[Task, SampleSet], Single] | None
     stochastic: bool = False
     needs_grid: bool = False
     certifiable: bool = False
@@ -44,7 +46,7 @@ KINDS: dict[str, Kind] = {
 """Kind of method (``study.MethodKind``) -> what it is."""
 
 
-def fit(kind: str, task: Task, samples: SampleSet) -> Predictor:
+def fit(kind: str, task: Task, samples: SampleSet) -> Single:
     """Fits a method to samples.
 
     Args:
@@ -65,7 +67,7 @@ def fit(kind: str, task: Task, samples: SampleSet) -> Predictor:
     return of_kind.fit(task, samples)
 
 
-def fit_each(kind: str, task: Task, samples: SampleSet, seeds: tuple[int, ...]) -> Predictor:
+def fit_each(kind: str, task: Task, samples: SampleSet, seeds: tuple[int, ...]) -> Single | Stacked:
     """Fits a method to what each of some arms has recorded.
 
     Args:
@@ -75,14 +77,25 @@ def fit_each(kind: str, task: Task, samples: SampleSet, seeds: tuple[int, ...]) 
         seeds: The arms' seeds.
 
     Returns:
-        A member for each arm; a single one where all arms are as the drawing has them.
+        A member for each arm; a single one where all arms are as the drawing has them. Each is as
+        ``fit_or_failed`` has it.
 
     Raises:
         NotApplicableError: As ``fit``.
-        IksamplesError: As ``fit``.
     """
     if not samples.arms:
-        return fit(kind, task, samples)
+        return fit_or_failed(kind, task, samples)
     if not KINDS[kind].needs_samples:
-        return Stacked([fit(kind, task, samples)] * len(seeds), seeds)
-    return Stacked([fit(kind, task, samples.of(seed)) for seed in seeds], seeds)
+        return Stacked([fit_or_failed(kind, task, samples)] * len(seeds), seeds)
+    return Stacked([fit_or_failed(kind, task, samples.of(seed)) for seed in seeds], seeds)
+
+
+def fit_or_failed(kind: str, task: Task, samples: SampleSet) -> Single:
+    """As ``fit``; where what was recorded defeats the method, NaN and why (``Single.failed``).
+
+    Raises:
+        NotApplicableError: As ``fit``.
+    """
+    found, why = attempt(f"{kind} on {samples.label}", lambda: fit(kind, task, samples))
+    n_joints = samples.joints.shape[1]
+    return found or Single(lambda x: np.full((len(x), n_joints), np.nan), failed=why)

@@ -7,7 +7,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.methods.predictor import NotApplicableError, Predictor, Single
+from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import RECORDED
 
@@ -23,7 +23,7 @@ JITTER = 1e-10
 """Variance added on the kernel's diagonal, as a share of the joints': keeps the solve sound."""
 
 
-def rbf(samples: SampleSet) -> Predictor:
+def rbf(samples: SampleSet) -> Single:
     """Interpolates with the cubic kernel r^3 and a linear polynomial, in normalised inputs.
 
     Of the interpolants of scattered data this is the one with no length to tune: scaling the inputs
@@ -42,12 +42,12 @@ def rbf(samples: SampleSet) -> Predictor:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise IksamplesError(
             f"rbf: cannot interpolate {samples.label} ({error}). Take out samples of the same "
-            "position, and have at least four that do not lie in one plane."
+            f"position, and have at least {samples.x.shape[1] + 1} that do not lie in one plane."
         ) from None
     return Single(lambda x: interpolate(samples.normalise(x)))
 
 
-def gaussian_process(samples: SampleSet) -> Predictor:
+def gaussian_process(samples: SampleSet) -> Single:
     """The posterior mean of ``regressor``.
 
     Raises:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
-from iksamples.methods.predictor import NotApplicableError, Predictor, Single
+from iksamples.methods.predictor import NotApplicableError, Single
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
 
@@ -18,7 +18,7 @@ _CAP_RAD = 0.3
 _ITERATIONS = 100
 
 
-def fit(task: Task, samples: SampleSet) -> Predictor:
+def fit(task: Task, samples: SampleSet) -> Single:
     """Answers with the joints that are right for ``x = K phi(q)``, found by Newton's method.
 
     Where the tool of an arm of n revolute joints is, is linear in the 3^n products of 1, cos(q_i)

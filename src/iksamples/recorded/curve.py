@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 _N = ("n", "n_samples", "samples", "n_train", "size")
 _SEED = ("seed", "run", "trial", "repeat")
 _INFINITE = ("inf", "+inf", "infinity")
+FAILED = "there is no finite error"
+"""Why a training has no result of which only its error is known."""
 
 
 def runs_table(records: Iterable[dict[str, Any]]) -> "pd.DataFrame":
     """Records as the table that ``answer.collect`` makes of a study; what they lack is empty."""
     import pandas as pd
 
-    plain = {"design": RECORDED, "diverged": False, "region": WORKSPACE, "region_share": 1.0}
+    plain = {"design": RECORDED, "failed": "", "region": WORKSPACE, "region_share": 1.0}
     table = pd.DataFrame([plain | {"verified": False} | one for one in records])
     table = table.reindex(columns=list(RUNS))
     table["label"] = table["design"] + table["n_samples"].astype(str)
@@ -85,7 +87,7 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
             "n_samples": int(size),
             "seed": int(one),
             "n_points": 0,
-            "diverged": not np.isfinite(value),
+            "failed": "" if np.isfinite(value) else FAILED,
             **dict.fromkeys(ERRORS, float(value)),
         }
         for size, one, value in zip(n, seed, error, strict=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.target import Target
 from iksamples.calibration.fit import fit_samples
 from iksamples.errors import IksamplesError
-from iksamples.methods.predictor import NotApplicableError
-from iksamples.methods.registry import KINDS
+from iksamples.methods.predictor import NotApplicableError, attempt
+from iksamples.methods.registry import fit_or_failed
 from iksamples.recorded.doubts import turned_deg
 from iksamples.recorded.read import Recording
 from iksamples.region import Region
@@ -25,7 +26,17 @@ from iksamples.task import Space, Task
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMNS = ("method", "design", "n_samples", "seed", "record", "error_mm", "angle_deg", "joint_deg")
+COLUMNS = (
+    "method",
+    "design",
+    "n_samples",
+    "seed",
+    "record",
+    "error_mm",
+    "angle_deg",
+    "joint_deg",
+    "failed",
+)
 """Columns of what is judged: ``judged`` says what they hold."""
 _STREAM = 50
 """Stream of an order's generator, beside its number."""
@@ -127,7 +138,8 @@ def judged(
     Returns:
         A row per method, size, order and record held out: ``COLUMNS``, where ``seed`` is the
         order, ``record`` the record's index, and an angle or joint error that is not known is NaN
-        (``joint_deg``: the joint that is off farthest [deg]); and why a method has none.
+        (``joint_deg``: the joint that is off farthest [deg]). ``failed`` says why the method had no
+        answer, empty where it had. And why a method has no row.
 
     Raises:
         IksamplesError: There are too few records.
@@ -175,8 +187,11 @@ def _models(
         return
     for n in study.sizes:
         for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
-            model = fit_samples(task, beginning(whole, learned[:n])).chain
-            yield _frame(n, seed, held, *off_model(model, recording, held))
+            part = beginning(whole, learned[:n])
+            fitted, why = attempt(f"{kind} on {n} records", partial(fit_samples, task, part))
+            nothing = np.full(len(held), np.inf), np.full(len(held), np.nan)
+            off = off_model(fitted.chain, recording, held) if fitted else nothing
+            yield _frame(n, seed, held, *off).assign(failed=why)
 
 
 def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floats, Floats]:
@@ -198,15 +213,15 @@ def _fitted(
     task: Task | None,
 ) -> "Iterator[pd.DataFrame]":
     """Methods that learn joints without being trained."""
-    fit = KINDS[kind].fit
-    assert fit is not None
     if kind == "residual":
         _require_drawn(recording, task)
     for n in study.sizes:
         for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
             part = beginning(whole, learned[:n])
-            answers = fit(task, part).predict(whole.x[held])[0]  # type: ignore[arg-type]
-            yield _of_joints(n, seed, held, answers, recording, task)
+            fitted = fit_or_failed(kind, task, part)  # type: ignore[arg-type]
+            answers = fitted.predict(whole.x[held])[0]
+            table = _of_joints(n, seed, held, answers, recording, task)
+            yield table.assign(failed=fitted.failed)
 
 
 def _require_drawn(recording: Recording, task: Task | None) -> None:
@@ -312,5 +327,6 @@ def _frame(
             "error_mm": error_mm,
             "angle_deg": angle_deg,
             "joint_deg": joint_deg,
+            "failed": "",
         }
     )

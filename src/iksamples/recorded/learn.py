@@ -10,7 +10,7 @@ import numpy as np
 from iksamples.answer.collect import WORKSPACE
 from iksamples.arm.chain import Floats, SerialChain, angles_of
 from iksamples.errors import IksamplesError
-from iksamples.recorded.curve import runs_table
+from iksamples.recorded.curve import FAILED, runs_table
 from iksamples.recorded.doubts import checked
 from iksamples.recorded.judge import judged, n_held, orders
 from iksamples.recorded.lerobot import is_lerobot, read_lerobot
@@ -234,7 +234,8 @@ def runs_of(rows: "pd.DataFrame") -> list[dict[str, Any]]:
         one |= dict(zip(_NAMES["error"], _statistics(error), strict=True))
         if np.isfinite(angle).any():
             one |= dict(zip(_NAMES["angle"], _statistics(angle), strict=True))
-        one |= {"n_points": len(own), "diverged": not np.isfinite(error).all(), "region": WORKSPACE}
+        why = own["failed"].iloc[0] or ("" if np.isfinite(error).all() else FAILED)
+        one |= {"n_points": len(own), "failed": why, "region": WORKSPACE}
         found.append(one)
     return found
 

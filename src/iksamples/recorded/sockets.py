@@ -8,6 +8,7 @@ and the two points as far apart as the sockets are.
 import io
 import warnings
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.worst import Measured
 from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import read_bytes
+from iksamples.methods.predictor import attempt
 from iksamples.recorded.doubts import MOST_RAD
 from iksamples.study import Design, Recorded, Study
 
@@ -199,8 +201,14 @@ def _order(
             if (place, 0) in points and (place, 1) in points
         ]
         groups = [places[place][socket][rows] for (place, socket), rows in points.items()]
-        fitted = fit_sockets(drawing, groups, pairs, prior=prior, noise_mm=assumed.noise_mm)
-        yield _judged(settings, fitted.chain, places, held).assign(n_samples=n)
+        fitted, why = attempt(
+            f"calibrated on {n} postures",
+            partial(fit_sockets, drawing, groups, pairs, prior=prior, noise_mm=assumed.noise_mm),
+        )
+        rows = _judged(settings, fitted.chain if fitted else drawing, places, held)
+        if not fitted:
+            rows = rows.assign(error_mm=np.inf, apart_mm=np.inf, failed=why)
+        yield rows.assign(n_samples=n)
 
 
 def _telling_most(
@@ -267,5 +275,10 @@ def _judged(
                 )
             )
     return pd.concat(rows).assign(
-        n_samples=0, seed=0, angle_deg=np.nan, joint_deg=np.nan, apart_mm=float(np.mean(apart))
+        n_samples=0,
+        seed=0,
+        angle_deg=np.nan,
+        joint_deg=np.nan,
+        failed="",
+        apart_mm=float(np.mean(apart)),
     )

@@ -38,7 +38,9 @@ def told(study: Study, found: Learned, judged: bool) -> list[str]:
         lines.append(
             f"For {asked(study.tolerance, 'mm', 'orders')}, {what} of those held out in each:"
         )
-    for one in answer(study, outcomes(study, found.runs)).variants:
+    answered = answer(study, outcomes(study, found.runs))
+    lines += answered.failures
+    for one in answered.variants:
         own = found.judged[found.judged["method"] == one.method]
         lines += ["", f"{one.method} ({one.description})"]
         if judged:

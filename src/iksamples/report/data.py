@@ -30,17 +30,16 @@ class ReportData:
         study: The study.
         results: Its results folder.
         command: What a user types to run it.
-        runs: ``runs.parquet`` without diverged seeds, and with ``worst_mm`` and
-            ``worst_deg``: the proved bound of the worst error where there is one, else the largest
-            measured.
-        diverged: Networks that diverged, by method.
+        runs: ``runs.parquet`` without what failed, and with ``worst_mm`` and ``worst_deg``: the
+            proved bound of the worst error where there is one, else the largest measured.
+        n_failed: Results that are missing.
     """
 
     study: Study
     results: Path
     command: str
     runs: pd.DataFrame
-    diverged: "pd.Series[int]"
+    n_failed: int
 
     @property
     def first_path(self) -> str:
@@ -177,13 +176,13 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
         IksamplesError: A result is missing or unreadable, or every network diverged.
     """
     runs = read_runs(results)
-    diverged = runs["diverged"].astype(bool)
-    lost = runs[diverged & (runs["region"] == WORKSPACE)].groupby("method").size()
-    sound = runs[~diverged].assign(
+    failed = runs["failed"].ne("")
+    sound = runs[~failed].assign(
         worst_mm=runs["sup_upper_mm"].fillna(runs["error_max_mm"]),
         worst_deg=runs["angle_upper_deg"].fillna(runs["angle_max_deg"]),
     )
-    data = ReportData(study, results, command, sound, lost)
+    n_failed = int((failed & (runs["region"] == WORKSPACE)).sum())
+    data = ReportData(study, results, command, sound, n_failed)
     if data.own.empty and not study.samples.recorded:
         raise IksamplesError(
             f"{results}: every network diverged, so there is nothing to report. "

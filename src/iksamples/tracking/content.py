@@ -46,6 +46,7 @@ class RunContent:
         files: Files that go with the run.
         samples: What the networks learnt from.
         colour: Colour of the run's curves (#rrggbb), else MLflow picks one.
+        failed: Why there is no result at all; empty: there is one.
     """
 
     name: str
@@ -58,6 +59,7 @@ class RunContent:
     files: tuple[Path, ...] = ()
     samples: SampleSet | None = None
     colour: str = ""
+    failed: str = ""
 
     def digest(self) -> str:
         """Twelve hexadecimal digits of everything the run holds."""
@@ -110,9 +112,9 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
     cell = Cell(results, variant.method, str(rows["label"].iloc[0]))
     first = rows.iloc[0]
     n = int(first["n_samples"])
-    sound = rows[~rows["diverged"]]
+    sound = rows[rows["failed"].eq("")]
     of_seeds = rows.drop_duplicates("seed")
-    metrics = [*_errors(sound, n), ("n_diverged", float(of_seeds["diverged"].sum()), n)]
+    metrics = [*_errors(sound, n), ("n_failed", float(of_seeds["failed"].ne("").sum()), n)]
     recorded = study.samples.recorded is not None
     trained = variant.method in networks(study) and not recorded
     if trained:
@@ -139,6 +141,7 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
         {"seeds.csv": rows.to_csv(index=False)},
         () if recorded else (cell.samples_path, *(own if trained else [])),
         None if recorded else cell.samples,
+        failed=str(first["failed"]) if sound.empty else "",
     )
 
 

@@ -36,6 +36,8 @@ KEY = "iksamples.key"
 OWNER = "iksamples.owner"
 CURRENT = "iksamples.current"
 _PARENT = "mlflow.parentRunId"
+_WHOLE = ("FINISHED", "FAILED")
+"""Status of a run that holds all that it is to hold; FAILED: of a method that has no result."""
 # What the tracking service takes in one call.
 _METRICS_AT_ONCE = 1000
 _RUNS_AT_ONCE = 1000
@@ -140,7 +142,7 @@ def log_runs(
     # Whole runs first, else the oldest: should there be two with one key, one of them counts.
     found = sorted(
         _runs_of(client, where, OWNER, whose),
-        key=lambda run: (run.info.status != "FINISHED", run.info.start_time, run.info.run_id),
+        key=lambda run: (run.info.status not in _WHOLE, run.info.start_time, run.info.run_id),
     )
     known = {run.data.tags[KEY]: run for run in reversed(found)}
     now_ms = time.time_ns() // 1_000_000
@@ -151,7 +153,7 @@ def log_runs(
         if content.parent:
             marks[_PARENT] = outcome.run_ids[content.parent]
         run = known.get(key)
-        if run and run.info.status == "FINISHED":
+        if run and run.info.status in _WHOLE:
             outcome.kept += 1
         else:  # not there, or cut off
             outcome.logged += 1
@@ -202,6 +204,8 @@ def _log(
     from mlflow.entities import DatasetInput, InputTag, Metric, Param
 
     tags = {"iksamples.kind": content.kind, "mlflow.note.content": content.note, **tags}
+    if content.failed:
+        tags["iksamples.failed"] = content.failed
     if content.colour:
         tags["mlflow.runColor"] = content.colour
     run = run or _made_once(
@@ -221,7 +225,7 @@ def _log(
         client.log_text(run_id, text, name)
     for path in content.files:
         client.log_artifact(run_id, str(path))
-    client.set_terminated(run_id, end_time=start_ms)
+    client.set_terminated(run_id, "FAILED" if content.failed else "FINISHED", start_ms)
     return run
 
 
