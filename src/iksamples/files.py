@@ -4,8 +4,10 @@ Beside a file of results lies its SHA-256, ``.<name>.sha256``. A disk or a hand 
 later; numbers read from such a file would be wrong without a sign of it.
 """
 
+import errno
 import hashlib
 import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,7 +22,11 @@ if TYPE_CHECKING:
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Gives a temporary name beside a file, and the file's own name once all is written."""
+    """Gives a temporary name beside a file, and the file's own name once all is written.
+
+    Raises:
+        OSError: It cannot be written; the error names it.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".unfinished-{path.name}")
@@ -29,6 +35,15 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         # Some writers leave a file that only its owner may read.
         unfinished.chmod(0o666 & ~_umask())
         unfinished.replace(path)
+    except Exception as error:
+        # Writers in Rust have exceptions of their own, and others do not name the file.
+        told = re.search(r"\(os error (\d+)\)", str(error))
+        number = int(told[1]) if told else getattr(error, "errno", None)
+        if "File-writer thread" in str(error):  # all that Rerun says
+            number = errno.EIO
+        if number is None or getattr(error, "filename", None):
+            raise
+        raise OSError(number, os.strerror(number), str(path)) from error
     finally:
         unfinished.unlink(missing_ok=True)
 

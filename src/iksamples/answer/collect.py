@@ -30,7 +30,7 @@ WORKSPACE = "workspace"
 """The region that is the whole workspace; every other region is a path, by its name."""
 
 _KEYS = ["method", "label", "seed"]
-_NAMES = ("method", "design", "label", "region")
+_NAMES = ("method", "design", "label", "region", "failed")
 _RUN = ["method", "design", "n_samples", "seed", "region"]
 _SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]

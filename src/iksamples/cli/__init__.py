@@ -1,5 +1,6 @@
 """The command line: a command for each step of the workflow, and for each question."""
 
+import errno
 import sys
 
 import typer
@@ -7,6 +8,18 @@ import typer
 from iksamples.cli import ask, certify, fit_arm, next, readings, shown, size, steps
 from iksamples.cli.common import app, say
 from iksamples.errors import IksamplesError, in_a_line
+
+
+_REMEDIES = {
+    **dict.fromkeys(
+        (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
+        " Make room and type the same again; nothing is half-written.",
+    ),
+    **dict.fromkeys(
+        (errno.EACCES, errno.EPERM, errno.EROFS),
+        " Name a folder that you may write to, or have its rights changed.",
+    ),
+}
 
 
 def main() -> None:
@@ -21,9 +34,9 @@ def main() -> None:
         )
         sys.exit(2)
     except OSError as error:
-        # A full disk, a folder that may not be written to.
         where = f"{error.filename}: " if error.filename else ""
-        say(f"Error: {where}{in_a_line(error)}.", err=True)
+        remedy = _REMEDIES.get(error.errno or 0, "")
+        say(f"Error: {where}{in_a_line(error)}.{remedy}", err=True)
         sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():

@@ -282,10 +282,10 @@ def answer(study_file: StudyFile, results: Results) -> None:
     study = read(study_file)
     found = answer_study(study, results)
     for line in found.failures:
-        typer.echo(line, err=True)
-    rows = outcomes(study, read_runs(results))
+        say(line, err=True)
+    needed = samples_needed(study, outcomes(study, read_runs(results)))
     with kept_file(results / "samples-needed.csv") as file:
-        samples_needed(study, rows).to_csv(file, index=False)
+        needed.to_csv(file, index=False)
     with kept_file(results / "answer.json") as file:
         file.write_text(found.to_json(), encoding="utf-8")
 
