@@ -108,3 +108,44 @@ def test_a_message_fits_the_screen_and_steers_no_terminal():
     assert first == "a [2J é"
     assert second.startswith("bxxx")
     assert len(second) < 1100
+
+
+ON_A_FULL_DISK = {
+    "text": "file.write_text('0' * 9999)",
+    "parquet": "import pandas as pd; pd.DataFrame({'a': range(9999)}).to_parquet(file)",
+    "picture": "from matplotlib.figure import Figure; Figure().savefig(file, format='png')",
+}
+FULL = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from iksamples import cli
+from iksamples.files import kept_file
+{imports}
+def app():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900))
+    with kept_file(Path(sys.argv[1]) / "result") as file:
+        {write}
+cli.app = app
+cli.main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("writer", ON_A_FULL_DISK)
+def test_a_disk_that_takes_no_more_is_said_in_a_line_whoever_writes(tmp_path, writer):
+    *imports, write = ON_A_FULL_DISK[writer].split("; ", 1)
+    code = FULL.format(imports="\n".join(imports), write=write)
+    run = [sys.executable, "-P", "-c", code, str(tmp_path)]
+    done = subprocess.run(run, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    said = [line for line in done.stderr.splitlines() if "Error" in line or "Traceback" in line]
+    assert said[-1].startswith(f"Error: {tmp_path / 'result'}: ")
+    assert "Make room" in said[-1]
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_takes_no_files_is_named():
+    with pytest.raises(OSError, match="/proc/no"), kept_file("/proc/no/table.csv") as file:
+        file.write_text("never")

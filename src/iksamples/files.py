@@ -7,7 +7,6 @@ later; numbers read from such a file would be wrong without a sign of it.
 import errno
 import hashlib
 import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -36,10 +35,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         unfinished.chmod(0o666 & ~_umask())
         unfinished.replace(path)
     except Exception as error:
-        # Writers in Rust have exceptions of their own, and others do not name the file.
-        told = re.search(r"\(os error (\d+)\)", str(error))
-        number = int(told[1]) if told else getattr(error, "errno", None)
-        if "File-writer thread" in str(error):  # all that Rerun says
+        # Some writers do not name the file, and Rerun says nothing but this.
+        number = getattr(error, "errno", None)
+        if "File-writer thread" in str(error):
             number = errno.EIO
         if number is None or getattr(error, "filename", None):
             raise

@@ -283,9 +283,8 @@ def answer(study_file: StudyFile, results: Results) -> None:
     found = answer_study(study, results)
     for line in found.failures:
         say(line, err=True)
-    needed = samples_needed(study, outcomes(study, read_runs(results)))
     with kept_file(results / "samples-needed.csv") as file:
-        needed.to_csv(file, index=False)
+        samples_needed(study, outcomes(study, read_runs(results))).to_csv(file, index=False)
     with kept_file(results / "answer.json") as file:
         file.write_text(found.to_json(), encoding="utf-8")
 
