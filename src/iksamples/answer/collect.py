@@ -115,7 +115,7 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     table = stored_table(file, tuple(RUNS))
     kinds = dict.fromkeys(RUNS, types.is_numeric_dtype)
     kinds |= dict.fromkeys(_NAMES, types.is_string_dtype)
-    kinds |= dict.fromkeys(("diverged", "verified"), types.is_bool_dtype)
+    kinds["verified"] = types.is_bool_dtype
     sound = len(table) > 0 and all(is_kind(table[name]) for name, is_kind in kinds.items())
     sound = sound and not table[_RUN].isna().any(axis=None) and not table.duplicated(_RUN).any()
     if sound:
