@@ -221,7 +221,8 @@ def content(folder: Path, store: bool = True) -> dict[str, str]:
     """Every file of a folder with a digest of what it holds, and every run of its MLflow store.
 
     Bytes, but for: the column of seconds in certificates, when a recording was made and its ids,
-    ids of runs, and the numbers of index.html (which has times; README.md has the same numbers).
+    ids of runs, and of index.html the numbers (which has times; README.md has the same numbers) and
+    the section of costs, whose rows are sorted by time.
 
     Args:
         folder: The folder.
@@ -255,6 +256,7 @@ def _digest(file: Path) -> str:
         if file.name == "certificates.csv":
             data = pd.read_csv(file).drop(columns="seconds").to_csv().encode()
         elif file.name == "index.html":
+            data = re.sub(rb'<h2 id="cost">.*?<h2 ', b"", data, flags=re.DOTALL)
             data = re.sub(rb"\d+(\.\d+)?", b"#", data)
         elif file.name == "tracking.json":
             kept = json.loads(data)

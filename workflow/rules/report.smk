@@ -21,6 +21,12 @@ rule report:
             else []
         ),
         answer="results/{study}/answer.json",
+        # It says where the runs are; in the usual file here there is nothing to wait for.
+        tracking=(
+            "results/{study}/tracking.json"
+            if STUDY.tracking.uri or os.environ.get("MLFLOW_TRACKING_URI")
+            else []
+        ),
         replication=(
             "results/{study}/replication.json" if STUDY.replication.seeds else []
         ),
