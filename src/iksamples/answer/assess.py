@@ -119,7 +119,7 @@ def read_floor(study: Study, results: str | Path) -> Floor | None:
     if not study.arm.repeats:
         rows = stored_table(Path(results) / FLOOR / "errors.parquet")
         rows["region"] = rows["region"].replace({CUBE: WORKSPACE})
-        rows = rows.reindex(columns=list(RUNS)).assign(failed="")
+        rows = rows.reindex(columns=list(RUNS)).assign(failed="", method=NETWORK)
         errors = outcomes(study, rows)["error_mm"].to_numpy(float)
     middle, worst = float(np.median(errors)), float(errors.max())
     return Floor(
