@@ -264,3 +264,12 @@ def test_a_gpu_that_is_not_there_is_said(tmp_path):
     with pytest.raises(IksamplesError, match="no CUDA device"):
         run.train(study, grid_samples(study, study_task(study), 2), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_without_a_compiler_the_reference_engine_trains(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert run.choose_engine(parse_study({"name": "x"}), 3) == "reference"
+    with pytest.raises(IksamplesError, match="NUMBA_DISABLE_JIT"):
+        run.choose_engine(parse_study({"name": "x", "training": {"engine": "fused"}}), 3)
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    assert run.choose_engine(parse_study({"name": "x"}), 3) == "fused"

@@ -6,6 +6,7 @@ long training is under way). The key is a digest of all that the numbers depend 
 
 import hashlib
 import json
+import os
 import shutil
 import sys
 import time
@@ -121,6 +122,8 @@ def choose_engine(study: Study, n_joints: int) -> str:
         reason = "training.optimizer: levenberg-marquardt"
     elif device == "gpu" or (device == "auto" and _has_gpu()):
         reason = f"training.accelerator: {device}"
+    elif os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        reason = "NUMBA_DISABLE_JIT, which leaves it uncompiled"
     if reason and asked == "fused":
         raise IksamplesError(
             f"training.engine: fused cannot do {reason}; set training.engine: auto or reference."
