@@ -99,6 +99,7 @@ def test_usual_checkpoints(rng, tmp_path, wrap):
 
 def test_a_checkpoint_of_lightning(rng, tmp_path):
     import pytorch_lightning as lightning
+    from pytorch_lightning.plugins.environments import LightningEnvironment
 
     class Module(lightning.LightningModule):
         def __init__(self, width=8):
@@ -115,7 +116,7 @@ def test_a_checkpoint_of_lightning(rng, tmp_path):
     module = Module()
     trainer = lightning.Trainer(
         max_epochs=0, logger=False, enable_checkpointing=False, accelerator="cpu",
-        enable_progress_bar=False, enable_model_summary=False,
+        enable_progress_bar=False, enable_model_summary=False, plugins=LightningEnvironment(),
     )  # fmt: skip
     trainer.strategy.connect(module)
     trainer.save_checkpoint(tmp_path / "net.ckpt", weights_only=True)
