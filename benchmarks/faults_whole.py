@@ -136,7 +136,7 @@ class Whole:
             place = file.relative_to(self.work)
             if not file.is_file() or {"logs", "benchmarks"} & set(place.parts):
                 continue
-            if file.suffix in (".sha256", ".lock"):
+            if file.suffix in (".sha256", ".lock") or not file.stat().st_size:
                 continue
             # Of a set of samples, a key and a method one stands for all.
             kind = re.sub(r"grid\d|[0-9a-f]{8,}|(?<=/)(relu|cubic)(?=/)", "", str(place))

@@ -242,21 +242,22 @@ def flip(file):
 @pytest.mark.parametrize(
     ("damage", "file"),
     [
-        (flip, "network/grid3/weights.safetensors"),
-        (cut, "network/grid2/errors.parquet"),
-        (cut, "certificates.csv"),
-        (flip, "samples-needed.csv"),  # which no job reads
+        (flip, "results/tiny/network/grid3/weights.safetensors"),
+        (cut, "results/tiny/network/grid2/errors.parquet"),
+        (cut, "results/tiny/certificates.csv"),
+        (flip, "results/tiny/samples-needed.csv"),  # which no job reads
+        (cut, "reports/tiny/README.md"),
     ],
 )
 def test_what_was_damaged_is_noticed_and_made_again(project, tmp_path, damage, file):
     folder = tmp_path / "damaged"
     shutil.copytree(project, folder)
-    damaged = folder / "results/tiny" / file
+    damaged = folder / file
     before, times = damaged.read_bytes(), damaged.stat()
     damage(damaged)
     os.utime(damaged, ns=(times.st_atime_ns, times.st_mtime_ns))  # a disk changes no times
     target = "results/tiny/answer.json"
-    asked = (target, f"results/tiny/{file}")
+    asked = (target, file)
     done = snakemake(folder, *asked, "--cores", "2", "--configfile", TINY)
     assert f"{file}: not as it was written (SHA-256); it is made again." in done.stderr
     assert damaged.read_bytes() == before
