@@ -82,7 +82,7 @@ def choose(
     runs = runs[(runs["region"] == WORKSPACE) & runs["failed"].eq("")]
     if seed is None:
         if runs.empty:
-            raise IksamplesError(f"{one.method} on {label}: every training diverged.")
+            raise IksamplesError(f"{one.method} on {label}: every training failed.")
         proved = runs["verified"].any()
         column = "sup_upper_mm" if proved else "error_max_mm"
         seed = int(runs["seed"].to_numpy()[np.nanargmin(runs[column].to_numpy())])
