@@ -159,7 +159,7 @@ class Whole:
                 break
         if code or "Traceback" in said:
             return how, f"exit {code}: {said_plainly(said) or said.strip()[-200:]}"
-        found = {k: v for k, v in content(self.work).items() if not k.endswith(".damaged")}
+        found = {k: v for k, v in content(self.work).items() if ".damaged" not in k}
         return how, "; ".join(differences(found, self.wanted)[:3])
 
     # File systems

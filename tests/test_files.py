@@ -9,7 +9,15 @@ import sys
 import pytest
 
 from iksamples.errors import IksamplesError
-from iksamples.files import checked, digest_file, is_intact, kept_file, whole_file
+from iksamples.files import (
+    checked,
+    digest_file,
+    is_intact,
+    kept_file,
+    put_aside,
+    whole_file,
+    write_digest,
+)
 
 
 @pytest.mark.parametrize("writer", [whole_file, kept_file])
@@ -62,6 +70,34 @@ def test_a_damaged_file_is_not_read_and_out_of_the_way(tmp_path, damage):
     with kept_file(path) as file:
         file.write_bytes(b"new")
     assert checked(path) == path
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda folder: (folder / "a.png").write_bytes(b"other"),
+        lambda folder: (folder / "a.png").unlink(),
+        lambda folder: (folder / "a.png").rename(folder / "c.png"),
+        lambda folder: (folder / "c.png").write_bytes(b""),
+    ],
+)
+def test_a_damaged_folder_is_out_of_the_way(tmp_path, damage):
+    def make():
+        draft, folder = tmp_path / "draft", tmp_path / "figures"
+        draft.mkdir()
+        (draft / "a.png").write_bytes(b"a")
+        (draft / "b.png").write_bytes(b"b")
+        write_digest(draft, folder)
+        draft.rename(folder)
+        (folder / ".snakemake_timestamp").touch()
+        return folder
+
+    for _ in range(2):  # a second time, beside what the first left
+        folder = make()
+        assert put_aside(folder) is None
+        damage(folder)
+        assert put_aside(folder) == tmp_path / "figures.damaged"
+        assert sorted(tmp_path.iterdir()) == [tmp_path / "figures.damaged"]
 
 
 def test_a_file_that_was_brought_along_is_taken_as_it_is(tmp_path):

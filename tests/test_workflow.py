@@ -264,6 +264,19 @@ def test_what_was_damaged_is_noticed_and_made_again(project, tmp_path, damage, f
     assert (folder / target).read_bytes() == (project / target).read_bytes()
 
 
+@pytest.mark.parametrize("damage", [cut, Path.unlink])
+def test_a_report_with_a_damaged_or_lost_figure_is_made_again(project, tmp_path, damage):
+    folder = tmp_path / "damaged"
+    shutil.copytree(project, folder)
+    figures = folder / "reports/tiny/figures"
+    before = {file.name: file.read_bytes() for file in figures.iterdir()}
+    damage(figures / "arm.png")
+    done = snakemake(folder, "--cores", "2", "--configfile", TINY)
+    assert "reports/tiny/figures: not as it was written (SHA-256)" in done.stderr
+    assert {file.name: file.read_bytes() for file in figures.iterdir()} == before
+    assert planned(folder, "--configfile", TINY) == set()
+
+
 @pytest.mark.parametrize(
     "file",
     ["network/grid2/weights.safetensors", "network/grid3/errors.parquet", "certificates.csv"],

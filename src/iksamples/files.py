@@ -1,12 +1,13 @@
 """Files that appear whole or not at all, and that are known again when they are read.
 
-Beside a file of results lies its SHA-256, ``.<name>.sha256``. A disk or a hand may change a file
-later; numbers read from such a file would be wrong without a sign of it.
+Beside a file of results, and a folder of figures, lies its SHA-256, ``.<name>.sha256``. A disk or a
+hand may change it later; numbers read from such a file would be wrong without a sign of it.
 """
 
 import errno
 import hashlib
 import os
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -52,9 +53,16 @@ def kept_file(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with whole_file(path) as unfinished:
         yield unfinished
-        # The digest comes first: a kill in between leaves a file that counts as damaged.
-        with whole_file(digest_file(path)) as digest:
-            digest.write_text(f"{_sha256(unfinished)}\n", encoding="ascii")
+        write_digest(unfinished, path)
+
+
+def write_digest(written: Path, path: Path) -> None:
+    """Keeps the digest of a file, or of a folder, that gets its own name, ``path``, next.
+
+    The digest comes first: a kill in between leaves a file that counts as damaged.
+    """
+    with whole_file(digest_file(path)) as digest:
+        digest.write_text(f"{_sha256(written)}\n", encoding="ascii")
 
 
 def checked(path: str | Path) -> Path:
@@ -76,11 +84,17 @@ def checked(path: str | Path) -> Path:
 
 
 def put_aside(path: Path) -> Path | None:
-    """Gives a file that is not as it was written another name, and says which; else nothing."""
+    """Gives what is not as it was written another name, and says which; else nothing.
+
+    Args:
+        path: A file or a folder of files.
+    """
     if not path.exists() or not digest_file(path).exists() or is_intact(path):
         return None
     aside = path.with_name(f"{path.name}.damaged")
     with suppress(OSError):  # a folder that cannot be written to
+        if aside.is_dir():  # of an earlier time
+            shutil.rmtree(aside)
         path.replace(aside)
         digest_file(path).unlink()
     return aside
@@ -145,7 +159,7 @@ def stored_table(path: str | Path, needed: Sequence[str] = (), **how: Any) -> "p
 
 
 def is_intact(path: Path) -> bool:
-    """Whether a file is there, has a digest, and is as it was written."""
+    """Whether a file or a folder is there, has a digest, and is as it was written."""
     try:
         return digest_file(path).read_text(encoding="ascii").strip() == _sha256(path)
     except (OSError, UnicodeDecodeError):
@@ -153,11 +167,15 @@ def is_intact(path: Path) -> bool:
 
 
 def digest_file(path: Path) -> Path:
-    """Where the digest of a file lies."""
+    """Where the digest of a file or a folder lies."""
     return path.with_name(f".{path.name}.sha256")
 
 
 def _sha256(path: Path) -> str:
+    if path.is_dir():
+        files = sorted(path.glob("[!.]*"))  # Snakemake leaves a hidden one in it
+        listed = "".join(f"{_sha256(file)}  {file.name}\n" for file in files)
+        return hashlib.sha256(listed.encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
