@@ -1,5 +1,6 @@
 """Digests of source files, by which an edit re-runs the steps it affects."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -70,9 +71,24 @@ def test_data_in_a_package_counts(package, data):
     assert digests(package)[1] == other
 
 
+def test_imports_are_those_that_python_sees():
+    for file in Path(sources.__file__).parent.rglob("*.py"):
+        text, seen = file.read_text(), set()
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Import):
+                seen.update(alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                assert not node.level, f"{file}: a relative import is not followed"
+                seen.update({node.module, *(f"{node.module}.{one.name}" for one in node.names)})
+        seen = {name for name in seen if name.split(".")[0] == "iksamples"}
+        found = sources.imports(text)
+        assert seen <= found, file
+        files = [{sources._with_parents(name) for name in names} for names in (seen, found)]
+        assert files[0] == files[1], file
+
+
 def test_evaluation_does_not_depend_on_the_report():
-    found = set()
-    sources._collect_with_parents("iksamples.evaluation.errors", found)
+    found = sources.source_files("iksamples.evaluation.errors")
     names = {path.parent.name for path in found}
     assert {"arm", "samples", "methods", "evaluation"} <= names
     assert not names & {"report", "tracking", "recording", "certify", "answer"}

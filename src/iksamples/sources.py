@@ -3,14 +3,18 @@
 Snakemake follows the code of its rules and scripts, but not of a package they import.
 """
 
-import ast
 import hashlib
-from collections.abc import Iterator
+import re
 from functools import cache
 from pathlib import Path
 
 
 _PACKAGE = Path(__file__).parent
+_OWN = rf"{__package__}(?:\.\w+)*"
+# To parse the sources as Python does takes ten times as long, in every run.
+_IMPORT = re.compile(
+    rf"\bfrom\s+({_OWN})\s+import\s+(\([^)]*\)|[^\n;]+)|\bimport\s+([^\n;]*{_OWN}[^\n;]*)"
+)
 
 
 def source_digest(*modules: str) -> str:
@@ -19,67 +23,82 @@ def source_digest(*modules: str) -> str:
     Args:
         *modules: Full names, such as ``iksamples.training.run``.
     """
-    found: set[Path] = set()
-    for module in modules:
-        _collect_with_parents(module, found)
     content = hashlib.sha256()
-    for path in sorted(found):
-        content.update(path.name.encode() + path.read_bytes())
+    for path in sorted(source_files(*modules)):
+        content.update(path.name.encode() + _content(path))
     return content.hexdigest()[:12]
 
 
-def _collect_with_parents(module: str, found: set[Path]) -> None:
-    parts = module.split(".")
-    for depth in range(2, len(parts) + 1):
-        _collect(".".join(parts[:depth]), found)
+def source_files(*modules: str) -> set[Path]:
+    """The files of modules, of all they import from this package, and of what these ship as data.
 
-
-def _collect(module: str, found: set[Path]) -> None:
-    path = _path(module)
-    if path is None or path in found:
-        return
-    found.add(path)
-    if path.name == "__init__.py":
-        # Importing a package runs its __init__ alone, but what it ships as data counts too.
-        found.update(
-            p
-            for p in path.parent.rglob("*.*")
-            if p.suffix != ".py" and p.is_file() and p.parent.name != "__pycache__"
-        )
-    for name in _imports(path):
-        if name.startswith(f"{__package__}.") and name != f"{__package__}.sources":
-            _collect_with_parents(name, found)
+    Args:
+        *modules: Full names.
+    """
+    found: set[Path] = set()
+    waiting = [path for module in modules for path in _with_parents(module)]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _needed(path)
+    return found
 
 
 @cache
-def _path(module: str) -> Path | None:
+def _content(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+@cache
+def _needed(path: Path) -> frozenset[Path]:
+    """What a file needs of this package besides."""
+    if path.suffix != ".py":
+        return frozenset()
+    needed = {file for name in imports(_content(path).decode()) for file in _with_parents(name)} - {
+        _PACKAGE / "sources.py"
+    }
+    if path.name == "__init__.py":
+        # Importing a package runs its __init__ alone, but what it ships as data counts too.
+        needed.update(
+            file
+            for file in path.parent.rglob("*.*")
+            if file.suffix != ".py" and file.is_file() and file.parent.name != "__pycache__"
+        )
+    return frozenset(needed)
+
+
+def imports(text: str) -> set[str]:
+    """What a source imports from this package, at its top or inside a function; perhaps more.
+
+    Args:
+        text: The source.
+
+    Returns:
+        Full names of modules, and of what is in them.
+    """
+    names: set[str] = set()
+    for module, some, plain in _IMPORT.findall(text):
+        names.update(re.findall(rf"\b{_OWN}", plain))
+        if module:
+            names.add(module)
+            names.update(f"{module}.{name}" for name in re.findall(r"\w+", some))
+    return names
+
+
+@cache
+def _with_parents(module: str) -> tuple[Path, ...]:
+    """The files of a module and of the packages it is in, but this one."""
+    parts = module.split(".")
+    names = (parts[1:depth] for depth in range(2, len(parts) + 1))
+    return tuple(path for name in names if (path := _path(*name)))
+
+
+def _path(*parts: str) -> Path | None:
     """The file of a module of this package, or None for a name that is not a module (a class, say).
 
     From the name alone: asking Python where a module lies imports what is above it, and to ask
     whether a class is one imports the class's module, with Lightning and torch behind it.
     """
-    place = _PACKAGE.joinpath(*module.split(".")[1:])
+    place = _PACKAGE.joinpath(*parts)
     return next((p for p in (place / "__init__.py", place.with_suffix(".py")) if p.is_file()), None)
-
-
-@cache
-def _imports(path: Path) -> frozenset[str]:
-    """Every name a file imports, at its top or inside a function."""
-    names: set[str] = set()
-    for node in _statements(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names.add(node.module)
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return frozenset(names)
-
-
-def _statements(tree: ast.Module) -> Iterator[ast.AST]:
-    """All statements, however deep; the many more expressions hold none, and are passed over."""
-    waiting: list[ast.AST] = [tree]
-    while waiting:
-        node = waiting.pop()
-        yield node
-        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
-            waiting += getattr(node, field, ())
