@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from measured_arms import recorded
 from typer.testing import CliRunner
 
 from iksamples.cli import app
@@ -188,6 +189,17 @@ def test_commands_refuse_before_they_make_anything(command, tmp_path, monkeypatc
     assert isinstance(said.exception, IksamplesError)
     assert "budget.memory_gb" in str(said.exception)
     assert not (tmp_path / "made").exists()
+
+
+def test_sizing_a_recording_is_refused_where_its_orders_would_take_too_much(tmp_path):
+    records = tmp_path / "records.csv"
+    recorded(n=4000)[2].to_csv(records, index=False)
+    arm = ["--robot", "config/robots/rrr70.urdf"]
+    said = CliRunner().invoke(app, ["size", str(records), *arm, "--subsets", "1000"])
+    assert isinstance(said.exception, IksamplesError)
+    first, remedy = str(said.exception).splitlines()
+    assert "GB of memory" in first
+    assert "--subsets" in remedy
 
 
 @pytest.mark.slow

@@ -132,9 +132,13 @@ def size(
 
 
 def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
+    from iksamples.plan import require_affordable
     from iksamples.recorded.learn import learning_curve
     from iksamples.recorded.told import told
 
+    require_affordable(
+        study, "Ask for fewer --subsets, or make a study of the recording, with a larger budget."
+    )
     found = learning_curve(study, drawn)
     say("\n".join(told(study, found, judged)))
 

@@ -7,27 +7,30 @@ from iksamples.plan.steps import plan_study
 from iksamples.study import Study
 
 
-def require_affordable(study: Study) -> None:
+def require_affordable(study: Study, remedy: str | None = None) -> None:
     """Stops at a study that takes more than its budget, before anything is made for it.
 
+    Args:
+        study: The study.
+        remedy: What to do then, where there is no study file with settings to change.
+
     Raises:
-        IksamplesError: Names the step, the estimate, the settings it is due to and the one to
-            raise.
+        IksamplesError: Names the step, the estimate, the settings it is due to, and what to do.
     """
     plan, budget = plan_study(study), study.budget
     large, long = plan.largest, plan.longest
     if large.memory_mb > 1000 * budget.memory_gb:
+        other = f"Make these smaller, or raise budget.memory_gb ({budget.memory_gb:g})."
         raise IksamplesError(
             f"{study.name}: '{large.step}' would take about {_rounded(large.memory_mb / 1000)} GB "
-            f"of memory, mostly by {_listed(large.memory_by)}.\n"
-            f"Make these smaller, or raise budget.memory_gb ({budget.memory_gb:g})."
+            f"of memory, mostly by {_listed(large.memory_by)}.\n{remedy or other}"
         )
     if plan.processor_s > 3600 * budget.processor_hours:
+        other = f"Make these smaller, or raise budget.processor_hours ({budget.processor_hours:g})."
         raise IksamplesError(
             f"{study.name}: would take about {_rounded(plan.processor_s / 3600)} hours of one "
             f"core, {_rounded(long.seconds / 3600)} for '{long.step}', mostly by "
-            f"{_listed(long.time_by)}.\n"
-            f"Make these smaller, or raise budget.processor_hours ({budget.processor_hours:g})."
+            f"{_listed(long.time_by)}.\n{remedy or other}"
         )
 
 
