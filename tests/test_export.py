@@ -106,6 +106,23 @@ def test_a_size_that_is_the_answer_is_taken(results):
     assert "8" in found.why
 
 
+def test_a_method_whose_trainings_all_failed_is_not_the_best(results):
+    known = json.loads((results / "answer.json").read_text())
+    for one in known["variants"]:
+        if one["method"] == "network":
+            one["sizes"][-1]["error_best_mm"] = None  # as an infinite error is written
+    (results / "answer.json").write_text(json.dumps(known))
+    assert choose(results).cell.method == "bent"
+
+
+def test_records_leave_no_network_to_take_away(results):
+    study = json.loads((results / "study.json").read_text())
+    study["samples"] |= {"designs": ["recorded"], "recorded": {"path": "r.csv"}}
+    (results / "study.json").write_text(json.dumps(study))
+    with pytest.raises(IksamplesError, match="small: its networks judge records"):
+        choose(results)
+
+
 @pytest.mark.parametrize(
     ("asked", "match"),
     [

@@ -76,6 +76,11 @@ def choose(
             f"{study.name}: its networks learnt simulated arms, no two alike, so there is none to "
             "take away. Export from a study without an arm section."
         )
+    if study.samples.recorded:
+        raise IksamplesError(
+            f"{study.name}: its networks judge records and are not kept, so there is none to take "
+            "away. Export from a study whose samples are computed."
+        )
     one, label, why = _variant(answer, method, samples)
     runs = read_runs(results)
     runs = runs[(runs["method"] == one.method) & (runs["label"] == label)]
@@ -118,17 +123,16 @@ def _variant(
         best = min(answered, key=lambda one: one.shown.n_samples)
         fewest = f"{best.shown.n_samples}, which {best.method} needs"
         return best, best.shown.label, f"the fewest samples of a trained method are {fewest}"
-    best = min(fitting, key=lambda one: _least(one.shown.error_best_mm))
+    # Where every training failed, no error is known: NaN, which is neither less nor more.
+    best = min(
+        fitting, key=lambda one: (math.isnan(one.shown.error_best_mm), one.shown.error_best_mm)
+    )
     return (
         best,
         best.shown.label,
         f"no trained method is shown to meet the study's tolerance; {best.method} with "
         f"{best.shown.n_samples} samples has the best network of the largest set",
     )
-
-
-def _least(error_mm: float | None) -> float:
-    return float("inf") if error_mm is None else error_mm
 
 
 VERSION = 1
