@@ -40,8 +40,12 @@ def write_page(study: Study, results: str | Path, output: str | Path) -> None:
 
 def values(study: Study, results: Path) -> dict[str, Any]:
     """Named values for the template."""
-    searched = rank(read_parts(sorted((results / "search").glob("*.csv"))))
-    fresh = rank(read_parts(sorted((results / "fresh").glob("*.csv"))))
+    assert study.readings is not None
+    # Not whatever lies there: a run with other jobs may have left parts of another search.
+    parts = [f"{part}.csv" for part in range(study.readings.jobs)]
+    searched, fresh = (
+        rank(read_parts([results / step / part for part in parts])) for step in ("search", "fresh")
+    )
     everything = pd.concat([searched, fresh])
     fitting = everything[everything["within_twice"] == len(paper_table())]
     fits = fresh["within_twice"] == len(paper_table())
