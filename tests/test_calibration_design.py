@@ -251,6 +251,14 @@ def test_a_study_asks_the_same_with_what_it_expects(tmp_path):
     assert 2 <= len(pd.read_csv(poses)) <= 6
 
 
+def test_poses_too_few_to_tell_the_noise_promise_no_error(tmp_path):
+    options = ["--robot", "config/robots/rrr70.urdf", "--tolerance-mm", 1, "--count", 1]
+    found = asked(*options, "-o", tmp_path / "next.csv")
+    assert found.exit_code == 0, found.output
+    assert "inf mm" not in found.output
+    assert "too few to tell how well was measured" in found.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -262,6 +270,15 @@ def test_a_study_asks_the_same_with_what_it_expects(tmp_path):
         (["--robot", "config/robots/rrr70.urdf", "--deviation-mm", 0], "has to be above zero"),
         (["--robot", "config/robots/rrr70.urdf", "--box", 1, 1, 1, 0, 2, 2], "empty"),
         (["--robot", "no.urdf"], "no.urdf: cannot read"),
+        (["--robot", "config/robots/rrr70.urdf", "--weights", "w"], "--weights: of no use"),
+        (
+            ["config/config.yaml", "--samples", "x.csv", "--column", "x_mm=a", "--tolerance-mm", 1],
+            "--tolerance-mm, --column: of no use",
+        ),
+        (
+            ["config/studies/real-arm.yaml", "--strategy", "calibration", "--tip-link", "tool"],
+            "--tip-link: of no use",
+        ),
     ],
 )
 def test_questions_that_cannot_be_asked_are_refused(arguments, message, tmp_path):

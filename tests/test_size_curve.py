@@ -137,6 +137,8 @@ def test_a_missing_column_and_a_tolerance_of_another_unit(tmp_path):
     (tmp_path / "runs.csv").write_text("n,error_mm\n8,1\n")
     with pytest.raises(IksamplesError, match="no column seed"):
         read_curve(tmp_path / "runs.csv")
+    said = size(tmp_path / "runs.csv", curve(), "--of", "mean", "--robot", "arm.urdf")
+    assert "--robot, --of: of no use to a learning curve" in str(said.exception)
     said = size(tmp_path / "runs.csv", curve(), "--tolerance-deg", "1")
     assert isinstance(said.exception, IksamplesError)
     assert "its errors are in mm; say what is allowed with --tolerance-mm" in str(said.exception)

@@ -97,6 +97,17 @@ def shown(what: str, after_s: float = 1.0) -> Iterator[None]:
         done.set()
 
 
+def refuse_unused(context: typer.Context, names: Iterable[str], why: str) -> None:
+    """Stops at options of the command that were given, and would do nothing."""
+    given = []
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name in names and source and source.name == "COMMANDLINE":
+            given.append(max(option.opts, key=len))
+    if given:
+        raise IksamplesError(f"{', '.join(given)}: of no use {why}; leave out.")
+
+
 def columns_of(said: list[str] | None) -> dict[str, str]:
     """What ``--column`` says."""
     pairs = [one.partition("=") for one in said or []]

@@ -14,6 +14,7 @@ from iksamples.cli.common import (
     arm_settings,
     columns_of,
     open_study,
+    refuse_unused,
     say,
 )
 from iksamples.errors import IksamplesError
@@ -27,6 +28,17 @@ if TYPE_CHECKING:
     from iksamples.recorded.poses import Calibration
 
 _POSES = 10
+_OF_CALIBRATION = (
+    "tip_link",
+    "tolerance_mm",
+    "confidence",
+    "box",
+    "anywhere",
+    "noise_mm",
+    "deviation_mm",
+    "deviation_rad",
+    "column",
+)
 
 
 class Strategy(StrEnum):
@@ -39,6 +51,7 @@ class Strategy(StrEnum):
 
 @app.command("next")
 def next_(
+    context: typer.Context,
     output: Output,
     study_file: Annotated[
         Path | None,
@@ -128,8 +141,12 @@ def next_(
     if study_file is not None and strategy is not Strategy.CALIBRATION:
         if samples_file is None:
             raise IksamplesError("--samples: name the samples that the networks learn from.")
+        refuse_unused(context, _OF_CALIBRATION, "where networks are asked")
         _for_network(study_file, samples_file, output, count or _POSES, strategy, weights)
         return
+    refuse_unused(context, ["weights"], "to a calibration, which asks no networks")
+    if study_file is not None:
+        refuse_unused(context, ["tip_link"], "beside a study, which names its own")
     said = {
         "error_mm": tolerance_mm,
         "confidence": confidence,
@@ -234,10 +251,10 @@ def _for_calibration(
     middle = (asked.drawing.lower + asked.drawing.upper) / 2
     start = middle if recording is None else recording.joints[-1]
     _write(in_order(fitted, joints, start).round(6), output)
-    say(
-        f"Record {len(joints)} more, in the order in which they stand in {output}. Then it is "
-        f"expected to be at most {advice.expected_mm:.3g} mm."
-    )
+    then = f"Then it is expected to be at most {advice.expected_mm:.3g} mm."
+    if advice.expected_mm == float("inf"):
+        then = "They will be too few to tell how well was measured, and so the error (--noise-mm)."
+    say(f"Record {len(joints)} more, in the order in which they stand in {output}. {then}")
     if count is None and advice.expected_mm > limit:
         wider = "" if anywhere or asked.region is None else ", or also elsewhere (--anywhere)"
         say(f"That is not within {limit:g} mm yet. To need fewer, measure better{wider}.")

@@ -11,6 +11,7 @@ from iksamples.cli.common import (
     app,
     arm_settings,
     columns_of,
+    refuse_unused,
     say,
 )
 from iksamples.errors import IksamplesError
@@ -20,11 +21,23 @@ if TYPE_CHECKING:
     from iksamples.study import Study
 
 
+_OF_RECORDS = (
+    "robot",
+    "tip_link",
+    "column",
+    "joint_unit",
+    "tool_from_drawing",
+    "socket_distance_mm",
+    "subsets",
+    "seed",
+    "of",
+)
 _OPTIONS = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
 
 
 @app.command()
 def size(
+    context: typer.Context,
     recording: Annotated[
         Path | None,
         typer.Argument(
@@ -95,6 +108,7 @@ def size(
         "--subsets or --seed"
     )
     if curve is not None:
+        refuse_unused(context, _OF_RECORDS, "to a learning curve")
         study = parse_study({"name": "recorded", "tolerance": asked}, where)
         _size_curve(study, curve, given)
         return
