@@ -1,6 +1,7 @@
 """The command line on files, as used by hand."""
 
 import io
+import json
 import re
 import subprocess
 from contextlib import redirect_stdout
@@ -11,6 +12,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from measured_arms import recorded
 
 from iksamples.cli.common import say
 from iksamples.network import StackedMLP
@@ -73,6 +75,16 @@ def test_what_is_not_there_is_named_without_a_traceback(command, tmp_path, argum
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("step", ["check", "learn"])
+def test_records_without_an_arm_are_not_of_the_papers(command, tmp_path, step):
+    recorded()[2].to_csv(tmp_path / "arm.csv", index=False)
+    study = {"name": "s", "samples": {"recorded": {"path": str(tmp_path / "arm.csv")}}}
+    (tmp_path / "s.json").write_text(json.dumps(study))
+    done = run(command, step, tmp_path / "s.json", *(["--results", tmp_path] * (step == "learn")))
+    assert done.returncode == 2
+    assert "name the arm, robot.urdf" in done.stderr
 
 
 def test_a_disk_that_cannot_be_written_is_a_line(command, tmp_path):

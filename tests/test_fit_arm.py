@@ -98,6 +98,22 @@ def test_held_out_errors_are_those_of_the_arm_and_its_noise(records):
     assert found.model_mm[0] == pytest.approx(np.sqrt(np.mean(model**2)), rel=0.7)
 
 
+def test_a_tool_that_is_less_certain_is_expected_to_be(records, tmp_path):
+    """Its place on the flange is 6 mm off: told so, the fit moves that and hardly the links."""
+    path, drawing, *_ = records
+    q = pd.read_csv(path)[NAMES[3:]].to_numpy()[:8]
+    moved = drawing.with_tool([0, 0, 6])
+    table = pd.DataFrame(np.hstack([moved.forward_mm(q), q]), columns=NAMES)
+    table.to_csv(tmp_path / "moved.csv", index=False)
+    recording = {"path": str(tmp_path / "moved.csv"), "assumed": {"tool_mm": 6, "noise_mm": 0.01}}
+    study = {"name": "s", "robot": {"urdf": URDF}, "samples": {"recorded": recording}}
+    found = fit_recording(parse_study(study))
+    assert (found.prior_sd[-1, :3] == 6).all()
+    assert (found.prior_sd[:-1, :3] == 1).all()
+    assert np.abs(found.fitted.deviations[:-1, :3]).max() < 0.5
+    assert np.linalg.norm(found.fitted.deviations[-1, :3]) > 4
+
+
 def test_more_records_are_foretold_as_if_each_had_been_measured_again(records):
     _, drawing, _, table, found = records
     q, x = table[NAMES[3:]].to_numpy(), table[NAMES[:3]].to_numpy()

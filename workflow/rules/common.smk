@@ -47,11 +47,6 @@ def digest_of(file, key):
 def recording_digest():
     """Of the study's recording, a file or a folder of files."""
     place = Path(STUDY.samples.recorded.path)
-    if "urdf" not in STUDY.robot.model_fields_set:
-        stop(
-            "samples.recorded: name the arm, robot.urdf; for records of an arm without a drawing "
-            "there is `iksamples size recorded.csv`."
-        )
     if not place.exists():
         stop(STUDY.samples.recorded.missing())
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
@@ -248,6 +243,7 @@ def where_to_look():
 try:
     STUDY = the_study()
     require_affordable(STUDY)
+    STUDY.require_own_arm()
 except IksamplesError as error:
     stop(error)
 ARM = digest_of(STUDY.robot.urdf, "robot.urdf")

@@ -1,6 +1,6 @@
 """A drawing fitted to measured poses: least squares with a prior, and what it leaves uncertain.
 
-The unknowns are the deviations of `arm.deviation`, a small motion before every joint and the tool.
+The unknowns are the deviations of `arm.real`, a small motion before every joint and the tool.
 They are more than can be told apart (a joint's zero and the next link's turn, the base and all that
 follows); the prior, not a choice of fewer parameters, settles that: each deviation is normal about
 zero, so that the fit is a ridge regression and its posterior, linearised at the fit, is normal
@@ -27,7 +27,7 @@ from iksamples.calibration.known import (
     Prior,
 )
 from iksamples.errors import IksamplesError
-from iksamples.study import Expected
+from iksamples.study import Assumed, Expected
 from iksamples.task import Task
 
 
@@ -143,7 +143,8 @@ def expectation(expected: Expected | None) -> tuple[Prior, float, float]:
         return Prior(), NOISE_MM, NOISE_RAD
     moved = max(expected.deviation_mm or 0.0, SMALLEST_NOISE_MM)
     turned = max(expected.deviation_rad or 0.0, SMALLEST_NOISE_MM / 1e3)
-    return Prior(moved, turned), expected.noise_mm or 0.0, expected.noise_rad or 0.0
+    tool_mm = expected.tool_mm if isinstance(expected, Assumed) else None
+    return Prior(moved, turned, tool_mm), expected.noise_mm or 0.0, expected.noise_rad or 0.0
 
 
 def fit_sockets(

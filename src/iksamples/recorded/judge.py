@@ -59,8 +59,7 @@ class Orders:
 
 def n_held(study: Study, n: int) -> int:
     """How many of n records judge."""
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
     return max(2, round(settings.held_out_share * n))
 
 
@@ -70,8 +69,7 @@ def orders(study: Study, n: int) -> Orders:
     Raises:
         IksamplesError: There are fewer records than the study's sizes ask for.
     """
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
     held = n_held(study, n)
     if study.sizes[-1] > n - held:
         raise IksamplesError(

@@ -81,8 +81,7 @@ def sized_study(settings: dict[str, Any], where: str) -> Study:
         IksamplesError: A setting is wrong, or the recording cannot be read.
     """
     study = parse_study(settings | _USUAL, where)
-    recorded = study.samples.recorded
-    assert recorded is not None
+    recorded = study.recording
     if recorded.kind == "sockets":
         places = read_places(recorded, study_chain(study))
         counts = sorted(sum(map(len, sockets)) for sockets in places.values())
@@ -105,8 +104,7 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     Raises:
         IksamplesError: They cannot be read, or not be used.
     """
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
     if not Path(settings.path).exists():
         raise IksamplesError(settings.missing())
     drawing = study_chain(study) if drawn else None
@@ -139,8 +137,9 @@ def learning_curve(study: Study, drawn: bool = True) -> Learned:
     Raises:
         IksamplesError: The records cannot be read or used, or are too few.
     """
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
+    if drawn:
+        study.require_own_arm()
     if settings.kind == "sockets":
         drawing = study_chain(study)
         places = read_places(settings, drawing)
@@ -153,8 +152,8 @@ def learning_curve(study: Study, drawn: bool = True) -> Learned:
 
 def looked_at(study: Study) -> tuple[str, list[str]]:
     """What a study's recording is, and what is odd about it; nothing is learned."""
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
+    study.require_own_arm()
     if settings.kind == "sockets":
         drawing = study_chain(study)
         return _of_sockets(settings, drawing, read_places(settings, drawing))
@@ -164,8 +163,7 @@ def looked_at(study: Study) -> tuple[str, list[str]]:
 
 
 def _of_table(study: Study, recording: Recording) -> str:
-    n, settings = len(recording), study.samples.recorded
-    assert settings is not None
+    n, settings = len(recording), study.recording
     return (
         f"{several(n, 'record')} ({', '.join(recording.inputs)}; "
         f"{', '.join(recording.joint_names)}). In each of {settings.subsets} random orders "
@@ -220,8 +218,7 @@ def recorded_task(study: Study, recording: Recording) -> Task:
         study.model_copy(update={"robot": robot, "workspace": box, "task": asked}),
         Region.box(np.array(low), np.array(high)),
     )
-    assert study.samples.recorded is not None
-    return replace(task, expected=study.samples.recorded.assumed.expectation)
+    return replace(task, expected=study.recording.assumed)
 
 
 def runs_of(rows: "pd.DataFrame") -> list[dict[str, Any]]:

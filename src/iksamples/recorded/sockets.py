@@ -16,7 +16,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.calibration.design import in_points
-from iksamples.calibration.fit import fit_sockets
+from iksamples.calibration.fit import expectation, fit_sockets
 from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.worst import Measured
 from iksamples.errors import IksamplesError, in_a_line
@@ -137,8 +137,7 @@ def judged_sockets(
     """
     import pandas as pd
 
-    settings = study.samples.recorded
-    assert settings is not None
+    settings = study.recording
     frames, left_out = [], {}
     for name, method in study.all_methods.items():
         if method.kind == "nominal":
@@ -185,15 +184,14 @@ def _order(
             f"{settings.path}: {n_held} of {len(names)} places judge, which leaves "
             f"{len(postures)} postures to learn from; samples.sizes asks for {study.sizes[-1]}."
         )
-    assumed = settings.assumed
-    prior = Prior(assumed.deviation_mm, assumed.deviation_rad, assumed.tool_mm)
+    prior, noise_mm, _ = expectation(settings.assumed)
     for n in study.sizes:
         points: dict[tuple[str, int], list[int]] = {}
         for place, socket, row in postures[:n]:
             points.setdefault((place, socket), []).append(row)
         points = {key: rows for key, rows in points.items() if len(rows) >= FEWEST}
         if design == "optimal":
-            points = _telling_most(drawing, prior, assumed.noise_mm, places, points)
+            points = _telling_most(drawing, prior, noise_mm, places, points)
         keys = list(points)
         pairs = [
             (keys.index((place, 0)), keys.index((place, 1)), settings.socket_distance_mm)
@@ -203,7 +201,7 @@ def _order(
         groups = [places[place][socket][rows] for (place, socket), rows in points.items()]
         fitted, why = attempt(
             f"calibrated on {n} postures",
-            partial(fit_sockets, drawing, groups, pairs, prior=prior, noise_mm=assumed.noise_mm),
+            partial(fit_sockets, drawing, groups, pairs, prior=prior, noise_mm=noise_mm),
         )
         rows = _judged(settings, fitted.chain if fitted else drawing, places, held)
         if not fitted:

@@ -27,8 +27,7 @@ def told(study: Study, found: Learned, judged: bool) -> list[str]:
         found: What was learned from them.
         judged: Whether there is a tolerance to hold it against.
     """
-    assert study.samples.recorded is not None
-    lines = [f"{study.samples.recorded.path}: {found.head}"]
+    lines = [f"{study.recording.path}: {found.head}"]
     lines += [f"Note: {doubt}" for doubt in found.doubts]
     lines += [f"Left out: {name}: {why}" for name, why in found.left_out.items()]
     what = {"worst": "the worst record", "mean": "the mean"}.get(

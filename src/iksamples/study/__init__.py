@@ -18,7 +18,7 @@ from iksamples.study.evaluation import (
     Tolerance,
 )
 from iksamples.study.reading import parse_study, read_study
-from iksamples.study.recorded import RECORDED, TENSOR, Design, Recorded
+from iksamples.study.recorded import RECORDED, TENSOR, Assumed, Design, Recorded
 from iksamples.study.sections import Asked, Robot, Section, Workspace
 from iksamples.study.study import NETWORK, PROVED_TOGETHER, Readings, Study, Tracking
 from iksamples.study.training import HeldOut, Method, MethodKind, Network, Training

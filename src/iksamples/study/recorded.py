@@ -9,7 +9,7 @@ from iksamples.study.arm import Expected
 from iksamples.study.sections import Section
 
 
-class Assumed(Section):
+class Assumed(Expected):
     """What is taken for granted of the arm and of the measurement."""
 
     deviation_mm: float = Field(
@@ -26,13 +26,6 @@ class Assumed(Section):
         description="Turn of each link, zeros of the joints included, standard deviation about "
         "each axis [rad].",
     )
-    tool_mm: float | None = Field(
-        None,
-        gt=0,
-        le=1000,
-        description="Displacement of the tool, where its place on the flange is less certain [mm]; "
-        "null: as the links.",
-    )
     noise_mm: float = Field(
         0.1, ge=0, le=1000, description="Noise of a measured position along each axis [mm]."
     )
@@ -40,10 +33,13 @@ class Assumed(Section):
         0.001, ge=0, le=1, description="Noise of a measured orientation about each axis [rad]."
     )
 
-    @property
-    def expectation(self) -> Expected:
-        """The same as methods take it."""
-        return Expected(**self.model_dump(exclude={"tool_mm"}))
+    tool_mm: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="Displacement of the tool, where its place on the flange is less certain [mm]; "
+        "null: as the links.",
+    )
 
 
 class Recorded(Section):
@@ -116,6 +112,8 @@ Design = Literal[
     "recorded",
     "optimal",
 ]
+# A design's random stream is its place in this list (samples/record.py): add another at the end.
+
 RECORDED: Design = "recorded"
 """The design of samples that are not placed but come from a file."""
 TENSOR: tuple[Design, ...] = ("grid", "chebyshev")

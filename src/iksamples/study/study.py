@@ -7,9 +7,10 @@ from typing import Any
 
 from pydantic import Field, field_serializer, model_validator
 
+from iksamples.errors import IksamplesError
 from iksamples.study.arm import Arm
 from iksamples.study.evaluation import Bounds, Evaluation, Replication, Tolerance
-from iksamples.study.recorded import TENSOR, Design, Samples, grid_shape
+from iksamples.study.recorded import TENSOR, Design, Recorded, Samples, grid_shape
 from iksamples.study.sections import (
     Asked,
     Name,
@@ -277,6 +278,24 @@ class Study(Section):
         """Every method by name; the first, ``network``, is the study's own."""
         own = Method(kind="network", network=self.network, training=self.training)
         return {NETWORK: own, **self.methods}
+
+    @property
+    def recording(self) -> Recorded:
+        """``samples.recorded``, of a study that has it."""
+        assert self.samples.recorded is not None
+        return self.samples.recorded
+
+    def require_own_arm(self) -> None:
+        """Stops at records without a drawing of their arm: the default is the paper's.
+
+        Raises:
+            IksamplesError: No arm is named.
+        """
+        if self.samples.recorded and "urdf" not in self.robot.model_fields_set:
+            raise IksamplesError(
+                "samples.recorded: name the arm, robot.urdf; for records of an arm without a "
+                "drawing there is `iksamples size recorded.csv`."
+            )
 
     def for_method(self, name: str, n_samples: int) -> "Study":
         """The study as if a method's network and training were its own.
