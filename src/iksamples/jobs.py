@@ -13,7 +13,7 @@ def parts(study: Study, method: str | None = None) -> list[str]:
         method: Whose proofs; None: the training of all methods.
 
     Returns:
-        None where one job does it all, since starting Python costs more than it would save.
+        Nothing where one job does it all, since starting Python costs more than it would save.
     """
     if is_apart(study) or (method and method not in networks(study)):
         return []

@@ -135,7 +135,6 @@ def seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
     Raises:
         IksamplesError: More than ten million.
     """
-
     n = failures + bisect_left(
         range(failures, _MOST_SEEDS),
         share,

@@ -42,7 +42,7 @@ def diagnose(
     * *capacity*: a network of another shape, trained alike, is better on the same samples.
     * *samples-suffice*: another method does it with no more samples of the same design.
 
-    Noise is no cause here: the samples are computed, not measured.
+    Noise is not looked for: samples are computed, and simulated arms' noise is the study's own.
 
     Args:
         study: The study.

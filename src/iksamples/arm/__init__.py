@@ -1,1 +1,1 @@
-"""The arm: forward kinematics from a URDF, closed-form inverse kinematics, reachable workspace."""
+"""The arm: its file, forward kinematics, and inverse kinematics on one branch."""

@@ -76,7 +76,6 @@ def report(
 
 
 def _wanted(study_file: Path) -> "Readings":
-
     wanted = read(study_file).readings
     if wanted is None:
         raise IksamplesError(

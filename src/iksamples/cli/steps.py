@@ -258,7 +258,6 @@ def learn(study_file: StudyFile, results: Results) -> None:
 @app.command()
 def table(study_file: StudyFile, results: Results) -> None:
     """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
-
     from iksamples.paper.gather import claims_table, study_table
     from iksamples.results import cells
 

@@ -50,7 +50,7 @@ def attempt(what: str, fit: Callable[[], _Fitted]) -> tuple[_Fitted | None, str]
 class Predictor(Protocol):
     """Fitted methods, stacked: one member per seed, or a single one where nothing is random.
 
-    ``training.network.StackedMLP`` is one.
+    ``network.StackedMLP`` is one.
     """
 
     @property

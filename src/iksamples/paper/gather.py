@@ -40,7 +40,7 @@ def study_table(study: Study, cells: Iterable[Cell], certificates: pd.DataFrame)
         certificates: Certified worst cases, columns as in ``columns.CERTIFICATES``.
 
     Returns:
-        One row per grid, columns as in ``columns.COLUMNS``.
+        One row per grid, columns as in ``columns.TABLE``.
     """
     published = paper_table().join(reading_table())
     first_path = next(iter(study.evaluation.paths))

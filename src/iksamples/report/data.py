@@ -1,4 +1,4 @@
-"""What a finished study left, as the report's sections read it: tables, and nothing computed."""
+"""What a finished study left, as the report's sections read it."""
 
 import json
 from dataclasses import dataclass

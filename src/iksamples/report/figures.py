@@ -132,8 +132,6 @@ def number_ticks(axes: Axes, which: str, ticks: Sequence[float]) -> None:
 
 def decades(low: float, high: float, steps: Sequence[float] = (1, 2, 5)) -> list[float]:
     """Round numbers on a logarithmic axis from below ``low`` to above ``high``."""
-    import numpy as np
-
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     ticks = [float(f"{step * 10.0**power:.6g}") for power in powers for step in steps]
     return [tick for tick in ticks if low / 1.001 <= tick <= high * 1.001]
