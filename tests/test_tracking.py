@@ -459,6 +459,7 @@ def test_a_kept_study_gets_its_password_from_the_environment(
         "http://user:secret@127.0.0.1:9",
         "http://user:secret@[::1",
         "sqlite:////dev/null/mlflow.db",
+        "postgresql://user:secret@127.0.0.1:9/x",
         "postgresql+nodriver://user:secret@127.0.0.1/x",
         "nonsense://x",
         "./mlruns",
@@ -547,6 +548,23 @@ def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell
     log(at(small, None), results)
     assert {path.name for path in Path().iterdir()} == {"mlflow.db", "mlruns"}
     assert len(current(DEFAULT_URI)) == RUNS
+
+
+FULL = """
+import resource
+from iksamples.tracking.store import connect, prepare
+prepare()
+import mlflow
+resource.setrlimit(resource.RLIMIT_FSIZE, (2**16, 2**16))
+connect("sqlite:///mlflow.db")
+"""
+
+
+def test_nothing_is_left_of_a_store_that_a_full_disk_cut_off() -> None:
+    done = subprocess.run([sys.executable, "-c", FULL], capture_output=True, text=True)
+    assert "StoreError: tracking.uri: cannot use sqlite:///mlflow.db (" in done.stderr
+    # The lock is empty, and stays for whoever waits for it.
+    assert {path.name for path in Path().iterdir()} <= {".mlflow.db.lock"}
 
 
 @pytest.fixture

@@ -42,10 +42,11 @@ _WHOLE = ("FINISHED", "FAILED")
 _METRICS_AT_ONCE = 1000
 _RUNS_AT_ONCE = 1000
 _RETRIES = "MLFLOW_HTTP_REQUEST_MAX_RETRIES"
+_TIMEOUT = "MLFLOW_HTTP_REQUEST_TIMEOUT"
 _PATIENCE = {
     _RETRIES: "2",
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
-    "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
+    _TIMEOUT: "10",
 }
 """A server that is gone is said to be after seconds, not MLflow's minutes; unless set otherwise."""
 _WAITS_S = (0.5, 1.0, 2.0)
@@ -106,6 +107,7 @@ def connect(uri: str) -> "MlflowClient":
     prepare()
     with failing_plainly(uri, Exception):  # each driver has errors of its own
         _make_sqlite_file(uri)
+        _require_answer(uri)
         return _ask(uri)
 
 
@@ -303,6 +305,16 @@ def _ask(uri: str) -> "MlflowClient":
     return client
 
 
+def _require_answer(uri: str) -> None:
+    """Asks a database on a server once; MLflow asks ten times, which takes two minutes."""
+    from sqlalchemy.engine import create_engine, make_url
+
+    if uri.startswith(("postgresql", "mysql")):
+        url = make_url(uri)
+        patience = {"connect_timeout": os.environ[_TIMEOUT], **url.query}
+        create_engine(url.set(query=patience)).connect().close()
+
+
 def _make_sqlite_file(uri: str) -> None:
     """Makes a missing SQLite file beside its place and moves it there when it is whole.
 
@@ -330,9 +342,11 @@ def _make_sqlite_file(uri: str) -> None:
         shutil.rmtree(unfinished, ignore_errors=True)
         if not path.exists():
             unfinished.mkdir()
-            with suppress(FileExistsError):
+            try:
                 _ask(f"sqlite:///{unfinished / path.name}")
-                os.link(unfinished / path.name, path)  # unlike a rename, never over another file
-            shutil.rmtree(unfinished, ignore_errors=True)
+                with suppress(FileExistsError):
+                    os.link(unfinished / path.name, path)  # unlike a rename, never over a file
+            finally:
+                shutil.rmtree(unfinished, ignore_errors=True)
         # Whoever still waits for this lock, or makes another, finds the store made.
         Path(lock.lock_file).unlink()
