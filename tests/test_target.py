@@ -34,7 +34,7 @@ def test_roll_pitch_yaw_is_a_turn_about_the_fixed_axes(angles):
 def test_inputs_are_named_with_their_units_and_the_rest_stays_at_the_reference(rng):
     down = Rotation.from_euler("x", 180, degrees=True).as_matrix()
     target = Target(("x", "y", "pitch", "yaw"), "fixed", down, np.array([1.0, 2, 3]))
-    assert target.names == ("x", "y", "pitch", "yaw")
+    assert target.coordinates == ("x", "y", "pitch", "yaw")
     assert target.units == ("mm", "mm", "rad", "rad")
     x = rng.uniform(-1, 1, (5, 4, 4))
     position, rotation = target.wanted(x)

@@ -129,7 +129,7 @@ def study_task(study: Study, region: Region | None = None) -> Task:
     box = study.workspace
     home = _home(study.robot, chain)
     target = _target(study.task, chain, home)
-    x = Space(target.names, target.units, np.array(box.lower), np.array(box.upper))
+    x = Space(target.coordinates, target.units, np.array(box.lower), np.array(box.upper))
     q = Space(chain.joint_names, chain.joint_units, chain.lower, chain.upper)
 
     def label(points: ArrayLike) -> Solution:

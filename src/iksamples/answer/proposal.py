@@ -179,15 +179,13 @@ def finite(network: StackedMLP) -> StackedMLP:
     Raises:
         IksamplesError: There is none.
     """
-    good = np.ones(network.n_seeds, bool)
-    for array in (*network.weights, *network.biases):
-        good &= np.isfinite(array).reshape(network.n_seeds, -1).all(axis=1)
-    if not good.any():
+    good = network.finite_rows()
+    if not good:
         raise IksamplesError(
             "All networks have diverged, so they say nothing about where to record. Lower "
             "training.learning_rate."
         )
-    return network.select(np.flatnonzero(good))
+    return network.select(good)
 
 
 def _worst_points(task: Task, network: StackedMLP, k: int) -> Floats:

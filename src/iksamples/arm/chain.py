@@ -54,6 +54,11 @@ class SerialChain:
         return len(self.joint_names)
 
     @property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Which joints turn, shape (joints,); the others slide."""
+        return np.array(self.joint_kinds) == "revolute"
+
+    @property
     def joint_units(self) -> tuple[Unit, ...]:
         """Unit of each joint's value: ``"rad"``, or ``"mm"`` where the joint is prismatic."""
         return tuple("mm" if kind == "prismatic" else "rad" for kind in self.joint_kinds)
@@ -146,7 +151,7 @@ class SerialChain:
     def pose_and_jacobians(self, joints: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
         """`pose` and `jacobians` together, for little more than either takes."""
         axes, origins, tip, rotation = self._frames(joints)
-        turns = (np.array(self.joint_kinds) == "revolute")[:, None]
+        turns = self.revolute[:, None]
         linear = np.where(turns, np.cross(axes, tip[..., None, :] - origins), axes)
         angular = np.where(turns, axes, 0.0)
         return tip, rotation, np.swapaxes(linear, -1, -2), np.swapaxes(angular, -1, -2)
@@ -168,18 +173,13 @@ class SerialChain:
         """The same chain with some joint limits replaced, so that every joint has limits.
 
         Args:
-            limits: Joint name -> (lower, upper) [rad or mm].
+            limits: Name of a joint of the chain -> (lower, upper) [rad or mm].
 
         Raises:
-            IksamplesError: A name is not a joint of the chain, or a joint has no limits.
+            IksamplesError: A joint has no limits, or the lower one is not below the upper one.
         """
         lower, upper = self.lower.copy(), self.upper.copy()
         for name, (low, high) in limits.items():
-            if name not in self.joint_names:
-                raise IksamplesError(
-                    f"robot.limits_rad: no joint '{name}'; the joints are "
-                    f"{', '.join(self.joint_names)}."
-                )
             i = self.joint_names.index(name)
             lower[i], upper[i] = low, high
         for name, unit, low, high in zip(

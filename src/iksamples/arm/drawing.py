@@ -54,10 +54,10 @@ def drawn_urdf(chain: SerialChain) -> str:
     links = ["base", *(f"link{i}" for i in range(1, chain.n_joints + 1)), "tool"]
     parts = ['<robot name="arm">']
     for i, link in enumerate(links[:-1]):
-        bodies = _cylinder(steps[i], 0.8 * radius, steps[i] / 2)
+        shown = _cylinder(steps[i], 0.8 * radius, steps[i] / 2)
         if i and chain.joint_kinds[i - 1] == "revolute":
-            bodies += _cylinder(2.2 * radius * chain.axes[i - 1], radius, np.zeros(3))
-        parts.append(f'  <link name="{link}">{bodies}</link>')
+            shown += _cylinder(2.2 * radius * chain.axes[i - 1], radius, np.zeros(3))
+        parts.append(f'  <link name="{link}">{shown}</link>')
     parts.append(f'  <link name="{links[-1]}"/>')
     for i, (name, kind, unit) in enumerate(
         zip(chain.joint_names, chain.joint_kinds, chain.joint_units, strict=True)
@@ -67,13 +67,13 @@ def drawn_urdf(chain: SerialChain) -> str:
         limit = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
         parts.append(
             f'  <joint name={quoteattr(name)} type="{kind}"><parent link="{links[i]}"/>'
-            f'<child link="{links[i + 1]}"/><origin xyz="{_numbers(steps[i])}"/>'
-            f'<axis xyz="{_numbers(chain.axes[i])}"/>{limit}</joint>'
+            f'<child link="{links[i + 1]}"/><origin xyz="{numbers(steps[i])}"/>'
+            f'<axis xyz="{numbers(chain.axes[i])}"/>{limit}</joint>'
         )
     parts.append(
         f'  <joint name="to_tool" type="fixed"><parent link="{links[-2]}"/>'
-        f'<child link="{links[-1]}"/><origin xyz="{_numbers(steps[-1])}" '
-        f'rpy="{_numbers(angles_of(chain.tip_rotation))}"/></joint>'
+        f'<child link="{links[-1]}"/><origin xyz="{numbers(steps[-1])}" '
+        f'rpy="{numbers(angles_of(chain.tip_rotation))}"/></joint>'
     )
     return "\n".join([*parts, "</robot>", ""])
 
@@ -86,10 +86,11 @@ def _cylinder(along: Floats, radius: float, centre: Floats) -> str:
     x, y, z = along / length
     turn = np.array([0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
     return (
-        f'<visual><origin xyz="{_numbers(centre)}" rpy="{_numbers(turn)}"/>'
+        f'<visual><origin xyz="{numbers(centre)}" rpy="{numbers(turn)}"/>'
         f'<geometry><cylinder radius="{radius}" length="{length}"/></geometry></visual>'
     )
 
 
-def _numbers(values: Floats) -> str:
+def numbers(values: Floats) -> str:
+    """Numbers as an attribute of a URDF has them; read back they are the same."""
     return " ".join(str(float(value)) for value in values)

@@ -315,7 +315,7 @@ def require_usable_lattice(
         return
     box = largest_usable_box(usable.reshape(shape), axes)
     if box:
-        ends = zip(solution.target.names, *box, solution.target.units, strict=True)
+        ends = zip(solution.target.coordinates, *box, solution.target.units, strict=True)
         sides = ", ".join(f"{name} {low:g} to {high:g} {unit}" for name, low, high, unit in ends)
         remedy = f"The largest usable box inside is {sides}. {remedy}"
     else:
@@ -374,5 +374,5 @@ def _in_words(target: Target, x: Floats) -> str:
     """An input as people read it: (100, 100, 70) mm, or with names where it holds angles."""
     if target.orientation == "free" and len(x) == 3:
         return "({:g}, {:g}, {:g}) mm".format(*x)
-    parts = zip(target.names, x, target.units, strict=True)
+    parts = zip(target.coordinates, x, target.units, strict=True)
     return "(" + ", ".join(f"{name} {value:g} {unit}" for name, value, unit in parts) + ")"

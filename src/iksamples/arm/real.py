@@ -222,15 +222,11 @@ class RealArm:
         off = np.abs(unloaded + self._sag(actual) - actual)
         return np.all(off < 1e-9, axis=-1, keepdims=True)
 
-    @property
-    def _turns(self) -> Floats:
-        return np.array([kind == "revolute" for kind in self.chain.joint_kinds], float)
-
     def _stepped(self, joints: Floats) -> Floats:
         step = self.encoder_step_rad
         if not step:
             return joints
-        return np.where(self._turns > 0, step * np.round(joints / step), joints)
+        return np.where(self.chain.revolute, step * np.round(joints / step), joints)
 
     def _play(self, shape: tuple[int, ...]) -> Floats:
         """Half the play to either side, drawn for each point by its place in the array."""
@@ -238,7 +234,7 @@ class RealArm:
             return np.zeros(shape[-1])
         generator = np.random.default_rng(self.seed)
         sides = 2.0 * generator.integers(0, 2, shape[-2:]) - 1.0
-        return 0.5 * self.backlash_rad * self._turns * sides
+        return 0.5 * self.backlash_rad * self.chain.revolute * sides
 
     def _sag(self, actual: Floats) -> Floats:
         """How far the load bends each joint [rad], shape (..., joints)."""
@@ -246,4 +242,4 @@ class RealArm:
             return np.zeros(actual.shape)
         force_n = -self.payload_kg * STANDARD_GRAVITY
         torque_nm = self.chain.jacobian_mm(actual)[..., 2, :] / MM_PER_M * force_n
-        return self._turns * torque_nm / self.stiffness_nm_per_rad
+        return self.chain.revolute * torque_nm / self.stiffness_nm_per_rad

@@ -307,7 +307,9 @@ class Follower:
         at_home = dict(zip(COORDINATES, [*position, *turned], strict=True))
         scale = np.where(np.array(self._target.units) == "mm", self.length_mm, 1.0)
         around = np.random.default_rng(0).uniform(-0.02, 0.02, (8, len(scale))) * scale
-        joints = self.follow(np.array([at_home[name] for name in self._target.names]) + around)
+        joints = self.follow(
+            np.array([at_home[name] for name in self._target.coordinates]) + around
+        )
         joints = joints[~np.isnan(joints).any(axis=-1)]
         values = np.linalg.svd(self.jacobian_mm(joints), compute_uv=False)
         if not len(values):

@@ -58,11 +58,6 @@ class Target:
             )
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The inputs' names."""
-        return self.coordinates
-
-    @property
     def units(self) -> tuple[Unit, ...]:
         """The inputs' units: mm for positions, rad for angles."""
         return tuple("mm" if name in COORDINATES[:3] else "rad" for name in self.coordinates)

@@ -4,10 +4,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from iksamples.arm.chain import MM_PER_M, Floats, SerialChain, angles_of, assemble
-from iksamples.arm.drawing import drawn_urdf
+from iksamples.arm.drawing import drawn_urdf, numbers
 from iksamples.arm.load import TABLES, load_arm
 from iksamples.arm.real import rotation_of
 from iksamples.arm.urdf import urdf_joints
@@ -93,8 +92,8 @@ def _set_origin(joint: ET.Element, pose: Floats) -> None:
     origin = joint.find("origin")
     if origin is None:
         origin = ET.SubElement(joint, "origin")
-    origin.set("xyz", _numbers(pose[:3, 3]))
-    origin.set("rpy", _numbers(angles_of(pose[:3, :3])))
+    origin.set("xyz", numbers(pose[:3, 3]))
+    origin.set("rpy", numbers(angles_of(pose[:3, :3])))
 
 
 def _add_tool(root: ET.Element, parent: str, pose: Floats) -> str:
@@ -108,7 +107,3 @@ def _add_tool(root: ET.Element, parent: str, pose: Floats) -> str:
     ET.SubElement(joint, "child", link=name)
     _set_origin(joint, pose)
     return name
-
-
-def _numbers(values: ArrayLike) -> str:
-    return " ".join(repr(float(value)) for value in np.asarray(values))

@@ -54,7 +54,7 @@ class Linkage:
     def of(cls, chain: SerialChain) -> "Linkage":
         """Takes a chain apart."""
         n = chain.n_joints
-        revolute = np.array([kind == "revolute" for kind in chain.joint_kinds])
+        revolute = chain.revolute
         axes = chain.axes / np.linalg.norm(chain.axes, axis=1, keepdims=True)
 
         vectors = np.zeros((n + 1, 3))

@@ -24,7 +24,7 @@ from iksamples.files import stored_table
 from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError
 from iksamples.network import StackedMLP
-from iksamples.results import Cell
+from iksamples.results import Cell, certified
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import PROVED_TOGETHER, Study
 from iksamples.task import Task
@@ -261,15 +261,16 @@ def map_cell(study: Study, task: Task, cell: Cell) -> dict[str, pd.DataFrame]:
         has one row without corners. No row where there are more than three inputs.
     """
     trainings, boxes = [], []
-    provable = study.arm is None or study.arm.is_chain
-    for seed in shown_seeds(study, cell) if provable else ():
+    for seed in shown_seeds(study, cell) if certified(study) else ():
         trainings.append(_training(task, cell, seed))
         if len(task.x) <= _MOST_INPUTS:
             boxes.append(_unsafe(study, task, cell, seed))
-    columns = _unsafe_columns(task)
     return {
-        TRAINING: pd.concat(trainings, ignore_index=True) if trainings else _empty(list(_TRAINING)),
-        UNSAFE: pd.concat(boxes, ignore_index=True) if boxes else _empty(columns),
+        name: pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
+        for name, tables, columns in (
+            (TRAINING, trainings, list(_TRAINING)),
+            (UNSAFE, boxes, _unsafe_columns(task)),
+        )
     }
 
 
@@ -372,7 +373,3 @@ def _corners(task: Task) -> list[str]:
 
 def _unsafe_columns(task: Task) -> list[str]:
     return ["seed", *_corners(task), "tolerance_mm", "safe_lower", "safe_upper", "drawn"]
-
-
-def _empty(columns: list[str]) -> pd.DataFrame:
-    return pd.DataFrame(columns=columns)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from iksamples.cli.common import (
+    FinishedStudy,
     StudyFile,
     advise,
     app,
@@ -99,15 +100,7 @@ def plan(
 
 
 @app.command()
-def recommend(
-    results: Annotated[
-        Path | None,
-        typer.Option(
-            help="Results folder of the study; by default the one in results/ answered last.",
-            file_okay=False,
-        ),
-    ] = None,
-) -> None:
+def recommend(results: FinishedStudy = None) -> None:
     """Print the answer of a finished study: how many samples, by which method, how sure."""
     from iksamples.answer.answer import newest
     from iksamples.answer.answer import recommend as advise
@@ -147,13 +140,7 @@ def export(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for the files.", file_okay=False)
     ],
-    results: Annotated[
-        Path | None,
-        typer.Option(
-            help="Results folder of the study; by default the one in results/ answered last.",
-            file_okay=False,
-        ),
-    ] = None,
+    results: FinishedStudy = None,
     method: Annotated[
         str | None, typer.Option(help="Method; by default the one that needs the fewest samples.")
     ] = None,

@@ -231,7 +231,8 @@ def certify(
     every = [one for found in proved.values() for one in found]
     if any(one.upper == math.inf for one in every):
         raise typer.Exit(1)
-    names = ", ".join(f"{n} [{unit}]" for n, unit in zip(target.names, target.units, strict=True))
+    inputs_of = zip(target.coordinates, target.units, strict=True)
+    names = ", ".join(f"{name} [{unit}]" for name, unit in inputs_of)
     if not network.offset.any() and (network.scale == 1).all():
         units = " and ".join(dict.fromkeys(target.units))
         say(f"Inputs go into the network as they are, in {units} (no option says otherwise).")

@@ -41,8 +41,14 @@ Results = Annotated[
         "--results", help="Results folder of the study, such as results/paper.", file_okay=False
     ),
 ]
-
-
+FinishedStudy = Annotated[
+    Path | None,
+    typer.Option(
+        "--results",
+        help="Results folder of the study; by default the one in results/ answered last.",
+        file_okay=False,
+    ),
+]
 SamplesFiles = Annotated[
     list[Path], typer.Argument(metavar="SAMPLES...", help="Sets of samples, one file each.")
 ]

@@ -79,6 +79,8 @@ def fit_arm(
 
 
 def _told(found: "ArmFit") -> list[str]:
+    import numpy as np
+
     from iksamples.recorded.fitted import PARTS, TIMES
     from iksamples.recorded.told import number
 
@@ -94,7 +96,8 @@ def _told(found: "ArmFit") -> list[str]:
         f"{number(float(drawn.max()))} mm at most.",
         f"As fitted, on records held out ({PARTS} parts, each judged by a fit to the others): "
         f"{number(float(held.mean()))} mm in the mean, "
-        f"{number(float(_quantile(held)))} mm for 95 %, {number(float(held.max()))} mm at most.",
+        f"{number(float(np.quantile(held, 0.95)))} mm for 95 %, "
+        f"{number(float(held.max()))} mm at most.",
         f"Of that, noise of the measurement: {number(found.fitted.noise_mm)} mm along each axis.",
         f"What the fit leaves uncertain of the tool's position [mm, root mean square over the "
         f"records]: {by}.",
@@ -114,9 +117,3 @@ def _told(found: "ArmFit") -> list[str]:
             known = max(0.0, 1 - float((rows["sd"] ** 2).sum() / (rows["prior_sd"] ** 2).sum()))
             lines.append(f"  {joint!s:<{width}}  {values} {shown}, known {100 * known:.0f} %")
     return lines
-
-
-def _quantile(values: "object") -> float:
-    import numpy as np
-
-    return float(np.quantile(np.asarray(values, float), 0.95))

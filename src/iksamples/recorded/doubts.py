@@ -35,7 +35,6 @@ _UNLIKE = {"mm": 5.0, "rad": 20.0}
 """How many times farther one column may extend than another, before it is asked about."""
 _GROUP, _APART = 3, 20.0
 """Records in a group, and how many times farther out another one begins: units are mixed."""
-_NAMED_ROWS = 5
 
 
 def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recording, list[str]]:
@@ -57,7 +56,7 @@ def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recordin
     if len(again):
         lines.append(
             f"{len(again)} of {len(whole)} records stand there twice, the same in every number, "
-            f"and are left out ({_rows(recording, again)})."
+            f"and are left out ({recording.table.listed(again)})."
         )
         recording = recording.select(np.sort(first))
     if len(recording) < FEWEST:
@@ -188,7 +187,6 @@ def _require_one_unit(
     Raises:
         IksamplesError: Names the rows.
     """
-    turns = np.array([unit == "rad" for unit in recording.joint_units])
     bound = _bound(recording, drawing, missed)
     for kind, factors in _OTHERS.items():
         for factor in factors:
@@ -196,16 +194,16 @@ def _require_one_unit(
             if kind == "mm":
                 changed.position_mm[far] *= factor
             else:
-                changed.joints[np.ix_(far, turns)] *= factor
+                changed.joints[np.ix_(far, recording.revolute)] *= factor
             right = far & (_position_misses(changed, drawing) <= bound)
-            right &= np.all(np.abs(changed.joints[:, turns]) < MOST_RAD, axis=1)
+            right &= np.all(np.abs(changed.joints[:, recording.revolute]) < MOST_RAD, axis=1)
             if np.any(right) and np.sum(right) >= 0.5 * np.sum(far):
                 rows = np.flatnonzero(right)
                 raise IksamplesError(
                     f"{recording.table.path}: {len(rows)} of {len(recording)} records fit the "
                     f"others only with {'positions' if kind == 'mm' else 'angles'} times "
                     f"{factor:.4g}: units are mixed ({_words(factor)}) in "
-                    f"{_rows(recording, rows)}. Correct them, or take them out."
+                    f"{recording.table.listed(rows)}. Correct them, or take them out."
                 )
 
 
@@ -216,7 +214,7 @@ def _implausible(recording: Recording) -> Iterator[str]:
         IksamplesError: A joint turns farther, or the tool comes less far or farther than of any
             arm; or records are of two sizes.
     """
-    path, turns = recording.table.path, np.array([unit == "rad" for unit in recording.joint_units])
+    path, turns = recording.table.path, recording.revolute
     angles, where = recording.joints[:, turns], _positions(recording)
     most = np.max(np.abs(angles), axis=0, initial=0)
     if np.any(most > MOST_RAD):
@@ -243,7 +241,7 @@ def _implausible(recording: Recording) -> Iterator[str]:
             small = order[: at + 1]
             raise IksamplesError(
                 f"{path}: the {what} are of two sizes, {ratio[at]:.3g} times apart; are units "
-                f"mixed? The small ones: {_rows(recording, small)}."
+                f"mixed? The small ones: {recording.table.listed(small)}."
             )
     enough = 3 * (recording.joints.shape[1] + 1)
     if len(recording) < enough:
@@ -286,7 +284,7 @@ def _doubts(
         yield (
             f"{len(rows)} of {n} records have the tool much farther from where {by} than the rest "
             f"(median {np.median(missed):.3g} mm), {missed[rows[0]]:.3g} mm at most; kept, the "
-            f"farthest first: {_rows(recording, rows)}."
+            f"farthest first: {recording.table.listed(rows)}."
         )
     spread = float(np.median(np.ptp(_positions(recording), axis=0)))
     if drawing is None and np.median(missed) > _LOOSE * spread:
@@ -295,25 +293,19 @@ def _doubts(
             "off those of records near by, or more), so that odd ones cannot be told: is a joint's "
             "column missing, or are there few records?"
         )
-    turns = np.array([unit == "rad" for unit in recording.joint_units])
-    turn = recording.joints[:, turns]
+    turn = recording.joints[:, recording.revolute]
     apart = np.linalg.norm(_off_neighbours(recording.x, turn, _FLOOR_RAD), axis=1)
     other = _odd(apart, _FLOOR_RAD) & ~far
     if other.any():
         yield (
             f"{np.sum(other)} of {n} records have joints far from those of records near by: "
             "another branch of the inverse kinematics, or full turns; a network that learns both "
-            f"answers with something between ({_rows(recording, np.flatnonzero(other))})."
+            f"answers with something between ({recording.table.listed(np.flatnonzero(other))})."
         )
     if drawing is not None:
         outside = ~drawing.within_limits(recording.joints)
         if outside.any():
             yield (
                 f"{np.sum(outside)} of {n} records are outside the joint limits "
-                f"({_rows(recording, np.flatnonzero(outside))})."
+                f"({recording.table.listed(np.flatnonzero(outside))})."
             )
-
-
-def _rows(recording: Recording, which: NDArray[np.intp]) -> str:
-    some = ", ".join(recording.table.place(int(row)) for row in which[:_NAMED_ROWS])
-    return some + (f" and {len(which) - _NAMED_ROWS} more" if len(which) > _NAMED_ROWS else "")

@@ -272,8 +272,7 @@ def _of_joints(
 ) -> "pd.DataFrame":
     """Answered joints, held against those recorded."""
     q = recording.joints[held]
-    turns = np.array([unit == "rad" for unit in recording.joint_units])
-    joint_deg = np.degrees(np.max(np.abs(answers - q)[:, turns], axis=1, initial=0))
+    joint_deg = np.degrees(np.max(np.abs(answers - q)[:, recording.revolute], axis=1, initial=0))
     angle = np.full(len(q), np.nan)
     if task is None:
         off = np.linalg.norm(_first_order(recording, held, answers - q), axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
 from iksamples.arm.chain import Floats, SerialChain, angles_of
+from iksamples.columns import ANGLES, ERRORS
 from iksamples.errors import IksamplesError
 from iksamples.recorded.curve import FAILED, runs_table
 from iksamples.recorded.doubts import checked
@@ -228,22 +229,17 @@ def runs_of(rows: "pd.DataFrame") -> list[dict[str, Any]]:
         method, design, n, seed = cast(tuple[str, str, int, int], key)
         error, angle = own["error_mm"].to_numpy(float), own["angle_deg"].to_numpy(float)
         one = {"method": method, "design": design, "n_samples": int(n), "seed": int(seed)}
-        one |= dict(zip(_NAMES["error"], _statistics(error), strict=True))
+        one |= dict(zip(ERRORS, _statistics(error), strict=True))
         if np.isfinite(angle).any():
-            one |= dict(zip(_NAMES["angle"], _statistics(angle), strict=True))
+            one |= dict(zip(ANGLES, _statistics(angle), strict=True))
         why = own["failed"].iloc[0] or ("" if np.isfinite(error).all() else FAILED)
         one |= {"n_points": len(own), "failed": why, "region": WORKSPACE}
         found.append(one)
     return found
 
 
-_NAMES = {
-    "error": ("error_mean_mm", "error_p95_mm", "error_p99_mm", "error_max_mm"),
-    "angle": ("angle_mean_deg", "angle_p95_deg", "angle_p99_deg", "angle_max_deg"),
-}
-
-
 def _statistics(values: Floats) -> Sequence[float]:
+    """Mean, percentiles and largest, as ``columns.ERRORS`` and ``ANGLES`` have them."""
     if not np.isfinite(values).all():
         return [np.inf] * 4
     return [float(values.mean()), *np.quantile(values, [0.95, 0.99]).tolist(), float(values.max())]

@@ -13,6 +13,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError, in_a_line
+from iksamples.recorded.doubts import MOST_RAD
 from iksamples.recorded.read import FEWEST, Recording, middle
 from iksamples.samples.measured import plain
 from iksamples.samples.table import Table
@@ -24,7 +25,6 @@ MOST = 400
 STATE = "observation.state"
 VERSIONS = ("v2.1", "v3.0")
 _STOP = 100.0
-_MOST_RAD = 4 * np.pi
 
 
 def is_lerobot(folder: Path) -> bool:
@@ -171,7 +171,7 @@ def _in_rad(folder: Path, values: Floats, unit: str, stops: bool, drawing: Seria
             f"the motor's range, and not {unit}; say --joint-unit range."
         )
     joints = np.radians(values) if unit == "deg" else values
-    if np.abs(joints).max() > _MOST_RAD:
+    if np.abs(joints).max() > MOST_RAD:
         raise IksamplesError(
             f"{folder}: joint values up to {np.abs(values).max():.4g} are no angles in {unit}."
         )

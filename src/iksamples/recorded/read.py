@@ -73,6 +73,11 @@ class Recording:
         return np.flatnonzero(np.isfinite(self.position_mm).all(axis=0)).tolist()
 
     @property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Which joints turn, shape (joints,); the others slide."""
+        return np.array(self.joint_units) == "rad"
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """The coordinates that were measured, as a study names its inputs."""
         found = [_POSITION[i] for i in self.positions]

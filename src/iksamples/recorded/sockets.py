@@ -86,8 +86,7 @@ def _postures(path: Path, drawing: SerialChain) -> Floats:
     bad = np.flatnonzero(~np.isfinite(found).all(axis=1))
     if len(bad):
         raise IksamplesError(f"{path}: row {bad[0] + 1} has a value that is no finite number.")
-    turns = np.array([unit == "rad" for unit in drawing.joint_units])
-    if np.any(np.abs(found[:, turns]) > MOST_RAD):
+    if np.any(np.abs(found[:, drawing.revolute]) > MOST_RAD):
         raise IksamplesError(f"{path}: angles beyond {MOST_RAD:.3g} rad; are they in degrees?")
     return found
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
@@ -36,7 +35,6 @@ _NO_FIT = 0.25
 """Median miss of the model, as a share of how far the samples are spread."""
 _TINY, _BETTER = 1e-6, 0.7
 """A miss that no unit explains, and what a column's right unit leaves of a miss at most."""
-_NAMED_ROWS = 5
 
 
 class Place(NamedTuple):
@@ -303,18 +301,14 @@ def _listed(columns: list[Column], units: list[str]) -> str:
 def _doubts(task: Task, table: Table, inputs: Floats, joints: Floats) -> list[str]:
     """What is odd about the samples, a line each."""
     chain, n = task.drawing, len(inputs)
-
-    def rows(which: NDArray[np.intp]) -> str:
-        some = ", ".join(table.place(int(row)) for row in which[:_NAMED_ROWS])
-        return some + (f" and {len(which) - _NAMED_ROWS} more" if len(which) > _NAMED_ROWS else "")
-
     missed = task.target.position_error_mm(chain, joints, inputs)
     expected = task.reach(inputs)
-    revolute = np.array([kind == "revolute" for kind in chain.joint_kinds])
-    turn = np.abs(np.angle(np.exp(1j * (joints - expected.joints)[:, revolute])))
+    turn = np.abs(np.angle(np.exp(1j * (joints - expected.joints)[:, chain.revolute])))
     other = (missed <= _MISSED_MM) & expected.in_reach & np.any(turn > _OTHER_BRANCH_RAD, axis=1)
     middle = np.where(np.isfinite(chain.lower + chain.upper), (chain.lower + chain.upper) / 2, 0)
-    turned = joints - np.where(revolute, 2 * np.pi * np.round((joints - middle) / (2 * np.pi)), 0)
+    turned = joints - np.where(
+        chain.revolute, 2 * np.pi * np.round((joints - middle) / (2 * np.pi)), 0
+    )
     outside = ~chain.within_limits(joints)
     a_turn_off = outside & chain.within_limits(turned)
     _, first, which = np.unique(inputs, axis=0, return_index=True, return_inverse=True)
@@ -327,23 +321,23 @@ def _doubts(task: Task, table: Table, inputs: Floats, joints: Floats) -> list[st
         lines.append(
             f"{len(far)} of {n} samples are more than {_MISSED_MM:g} mm from where the model of "
             f"the arm puts them, {missed[far[0]]:.1f} mm at most; kept as they are, the farthest "
-            f"first: {rows(far)}."
+            f"first: {table.listed(far)}."
         )
     if np.any(other):
         lines.append(
             f"{np.sum(other)} of {n} samples reach their position on another branch than the "
             "study's; a network that learns both branches answers with something between them "
-            f"({rows(np.flatnonzero(other))})."
+            f"({table.listed(np.flatnonzero(other))})."
         )
     if np.any(a_turn_off):
         lines.append(
             f"{np.sum(a_turn_off)} of {n} samples have a joint full turns beside its limits; a "
-            f"network takes that for another place ({rows(np.flatnonzero(a_turn_off))})."
+            f"network takes that for another place ({table.listed(np.flatnonzero(a_turn_off))})."
         )
     if np.any(outside & ~a_turn_off):
         lines.append(
             f"{np.sum(outside & ~a_turn_off)} of {n} samples are outside the joint limits "
-            f"({rows(np.flatnonzero(outside & ~a_turn_off))})."
+            f"({table.listed(np.flatnonzero(outside & ~a_turn_off))})."
         )
     if len(again):
         lines.append(

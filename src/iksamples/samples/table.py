@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError, in_a_line
@@ -40,6 +41,11 @@ class Table:
     def place(self, row: int) -> str:
         """What a message calls a row, counted from 0 here and from 1 there."""
         return f"row {row + 1} (line {self.lines[row]})" if self.lines else f"row {row + 1}"
+
+    def listed(self, rows: NDArray[np.intp], most: int = 5) -> str:
+        """What a message calls some rows: the first of them, and how many more."""
+        some = ", ".join(self.place(int(row)) for row in rows[:most])
+        return some + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
     def numbers(self, columns: Sequence[int], most: float = sys.float_info.max) -> Floats:
         """The cells of some columns as finite numbers, shape (rows, columns).

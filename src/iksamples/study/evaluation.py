@@ -5,7 +5,7 @@ fits any arm; in a plane nothing leans, and angles among the inputs stay in the 
 range.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -89,18 +89,11 @@ class CsvPath(Section):
     )
 
 
-AnyPath = Annotated[
-    DoubleRectangle | Heart | Circle | Lemniscate | Helix | CsvPath,
-    Field(discriminator="shape"),
-]
+_Path = DoubleRectangle | Heart | Circle | Lemniscate | Helix | CsvPath
+AnyPath = Annotated[_Path, Field(discriminator="shape")]
 
 SHAPES: dict[str, type[Section]] = {
-    "double_rectangle": DoubleRectangle,
-    "heart": Heart,
-    "circle": Circle,
-    "lemniscate": Lemniscate,
-    "helix": Helix,
-    "csv": CsvPath,
+    get_args(one.model_fields["shape"].annotation)[0]: one for one in get_args(_Path)
 }
 """Name of a shape in the study file -> its section."""
 

@@ -93,19 +93,6 @@ def train(
         )
 
 
-def count_trained(study: Study, samples: SampleSet, cache: Path) -> int:
-    """How many of the study's seeds a cache holds.
-
-    Args:
-        study: The study.
-        samples: What they are trained on.
-        cache: The folder ``train`` is given.
-    """
-    engine = choose_engine(study, len(samples.joint_space))
-    records = Cache(cache, cache_key(study, samples, engine)).load(study.seeds)
-    return sum(len(record.seeds) for record in records)
-
-
 def choose_engine(study: Study, n_joints: int) -> str:
     """The engine that trains a study: "fused", "reference" or "levenberg-marquardt".
 
@@ -211,7 +198,9 @@ def trained_before(study: Study, sample_sets: Sequence[SampleSet], cache: Path) 
     """
     found = dict.fromkeys(networks(study), 0)
     for method, samples, own in _trainings(study, sample_sets):
-        found[method] += count_trained(own, samples, cache / method / samples.label)
+        key = cache_key(own, samples, choose_engine(own, len(samples.joint_space)))
+        records = Cache(cache / method / samples.label, key).load(own.seeds)
+        found[method] += sum(len(record.seeds) for record in records)
     return found
 
 
