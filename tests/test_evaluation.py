@@ -8,13 +8,13 @@ from certificate_cases import plain_answer, plain_tip, random_network, turned_aw
 from iksamples.cli.common import write_tables
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import cube_errors, evaluate, send, summarise, track_paths
-from iksamples.evaluation.paths import require_reachable, waypoints
+from iksamples.evaluation.paths import count_waypoints, require_reachable, waypoints
 from iksamples.evaluation.slices import error_slices
 from iksamples.methods.predictor import in_parts
 from iksamples.network import StackedMLP
 from iksamples.paper.equations import audit
 from iksamples.samples.record import grid_samples, region_points
-from iksamples.study import DoubleRectangle, Heart, parse_study, read_study
+from iksamples.study import CsvPath, DoubleRectangle, Heart, parse_study, read_study
 from iksamples.task import study_task
 
 
@@ -226,17 +226,25 @@ def test_waypoints_from_a_file_are_in_its_units(tmp_path):
     x, pen_up = waypoints(study.evaluation.paths["p"], in_plane())
     np.testing.assert_allclose(x, [[70, 30], [80, 40]])
     assert pen_up.tolist() == [False, True]
+    # As people record samples: units below the names, semicolons and decimal commas.
+    other = tmp_path / "other.csv"
+    other.write_text("x;y\nmm;m\n70,5;0,03\n80;0,04\n1;1\n")
+    path = CsvPath(shape="csv", file=str(other))
+    x, pen_up = waypoints(path, in_plane())
+    np.testing.assert_allclose(x, [[70.5, 30], [80, 40], [1, 1000]])
+    assert not pen_up.any()
+    assert count_waypoints(path) == 3
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("x_mm,z_mm\n1,2\n", "one column y_mm or y_cm or y_m for the input y; there are x_mm, z"),
-        ("x_mm,x_m,y_mm\n1,2,3\n", "one column x_mm or x_cm or x_m"),
-        ("x,y\n1,2\n", "one column x_mm or x_cm or x_m"),
-        ("x_mm,y_mm\n1,2\n3,up\n", "waypoint 2 has 'up' as y_mm, which is no number"),
+        ("x_mm,z_mm\n1,2\n", "no column y_mm; there are x_mm, z_mm"),
+        ("x_mm,x_m,y_mm\n1,2,3\n", "the columns x_mm and x_m mean the same"),
+        ("x,y\n1,2\n", "no unit is said for x, y; write it into the names"),
+        ("x_mm,y_mm\n1,2\n3,up\n", r"row 2 \(line 3\) has 'up' as y_mm"),
         ("x_mm,y_mm\n1,2\n", "1 waypoints; a path has at least 2"),
-        ("", "needs one column"),
+        ("", "the file is empty"),
     ],
 )
 def test_a_faulty_file_of_waypoints_is_named(tmp_path, text, says):

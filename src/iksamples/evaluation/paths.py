@@ -1,15 +1,15 @@
 """Paths the tool is asked to draw."""
 
-import csv
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError, in_a_line
+from iksamples.errors import IksamplesError
+from iksamples.samples.measured import MOST, Place, factors_as_said, find_columns, plain, with_units
+from iksamples.samples.table import Table, read_table
 from iksamples.study import (
     AnyPath,
     Circle,
@@ -23,8 +23,6 @@ from iksamples.study import (
 from iksamples.task import Task
 
 
-_UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "rad": 1.0, "deg": np.pi / 180}
-"""Unit in a header -> what turns it into mm or rad."""
 _INSET = 6
 """Rectangles lie a sixth of the workspace from its sides."""
 
@@ -71,7 +69,9 @@ def waypoints(path: AnyPath, task: Task) -> Waypoints:
 
 def count_waypoints(path: AnyPath) -> int:
     """Waypoints of a path."""
-    return len(_table(path.file)) if isinstance(path, CsvPath) else path.waypoints
+    if isinstance(path, CsvPath):
+        return len(with_units(_table(path.file))[1].rows)
+    return path.waypoints
 
 
 def require_reachable(study: Study, task: Task) -> None:
@@ -161,53 +161,21 @@ def _heart(t: Floats) -> Floats:
 
 
 def _from_file(file: str, task: Task) -> Waypoints:
-    """Waypoints from a CSV file, in the units of the task.
+    """Waypoints from a table, in the units of the task.
 
     Raises:
-        IksamplesError: An input has no column, a unit is no such unit, or a cell no number.
+        IksamplesError: An input has no column, a unit is not said, or a cell is no number.
     """
-    rows = _table(file)
-    header = [name for name in rows[0] if name] if rows else []
-    columns = []
-    for name, unit in zip(task.x.names, task.x.units, strict=True):
-        known = [own for own in _UNITS if (own in ("rad", "deg")) == (unit == "rad")]
-        found = [(f"{name}_{own}", _UNITS[own]) for own in known if f"{name}_{own}" in header]
-        if len(found) != 1:
-            raise IksamplesError(
-                f"{file}: needs one column {' or '.join(f'{name}_{own}' for own in known)} for the "
-                f"input {name}; there are {', '.join(header) or 'none'}."
-            )
-        column, factor = found[0]
-        columns.append([_number(file, i, row, column) * factor for i, row in enumerate(rows)])
-    if len(rows) < 2:
-        raise IksamplesError(f"{file}: {len(rows)} waypoints; a path has at least 2.")
-    pen_up = [_number(file, i, row, "pen_up") != 0 for i, row in enumerate(rows)]
-    return Waypoints(np.array(columns).T, np.array(pen_up))
-
-
-def _number(file: str, i: int, row: dict[str, str], column: str) -> float:
-    """A cell of a table; a column that is not there is zero."""
-    try:
-        value = float(row.get(column, "0"))
-    except (TypeError, ValueError):
-        value = np.nan
-    if not np.isfinite(value):
-        raise IksamplesError(
-            f"{file}: waypoint {i + 1} has '{row[column]}' as {column}, which is no number."
-        )
-    return value
+    units = zip(task.x.names, task.x.units, strict=True)
+    columns, table = find_columns(_table(file), [Place(name, unit, [name]) for name, unit in units])
+    factors = factors_as_said(table, columns, "; write it into the names, such as x_mm.")
+    if len(table.rows) < 2:
+        raise IksamplesError(f"{file}: {len(table.rows)} waypoints; a path has at least 2.")
+    lifted = [i for i, name in enumerate(table.names) if plain(name) == "pen_up"]
+    x = table.numbers([column.at for column in columns], MOST) * factors
+    return Waypoints(x, np.asarray(table.numbers(lifted).any(axis=1)))
 
 
 @cache
-def _table(file: str) -> list[dict[str, str]]:
-    """Rows of a CSV file by column name.
-
-    Raises:
-        IksamplesError: It cannot be read.
-    """
-    try:
-        with Path(file).open(encoding="utf-8-sig", newline="") as stream:
-            rows = list(csv.DictReader(stream, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise IksamplesError(f"{file}: cannot read the waypoints ({in_a_line(error)}).") from None
-    return rows
+def _table(file: str) -> Table:
+    return read_table(file)

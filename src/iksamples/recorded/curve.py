@@ -9,7 +9,7 @@ import numpy as np
 from iksamples.answer.collect import WORKSPACE
 from iksamples.columns import ERRORS, RUNS
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import UNITS, Place, find_columns, name_and_unit
+from iksamples.samples.measured import UNITS, Place, find_columns, with_units
 from iksamples.samples.table import Table, read_table
 from iksamples.study import NETWORK, RECORDED
 
@@ -51,7 +51,8 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
     Raises:
         IksamplesError: A column is missing or twice, a row is no training, or stands twice.
     """
-    table, kind = read_table(path), _kind(read_table(path))
+    table = read_table(path)
+    kind = _kind(table)
     # An angle is found in radians and told in degrees.
     unit = {"rad": "deg"}.get(kind, kind)
     places = [Place("n", "", _N), Place("seed", "", _SEED), Place("error", kind, ["error"])]
@@ -96,10 +97,5 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
 
 def _kind(table: Table) -> str:
     """Unit here of the error: mm, rad, or nothing where none is said in its name or below it."""
-    below = dict(zip(table.names, table.rows[0], strict=True))
-    for name in table.names:
-        plain, said = name_and_unit(name)
-        said = said or str(below[name] or "").strip().strip("[]()").lower()
-        if plain == "error":
-            return next((unit for unit, known in UNITS.items() if said in known), "")
-    return ""
+    said = next((unit for name, unit in with_units(table)[0] if name == "error"), "")
+    return next((unit for unit, known in UNITS.items() if said in known), "")

@@ -14,8 +14,8 @@ from iksamples.errors import IksamplesError
 from iksamples.samples.measured import (
     MOST,
     UNITS,
-    Column,
     Place,
+    factors_as_said,
     find_columns,
     in_units,
     joint_places,
@@ -33,6 +33,10 @@ _UNIT_LENGTH = 0.01
 _REMEDY = (
     "Name them so (x_m, q1_deg in other units), or say which they are by --column x_mm=NAME or "
     "samples.recorded.columns."
+)
+_NO_UNIT = (
+    ", and without a drawing of the arm (--robot) it cannot be known. Write it into the names, "
+    "such as x_mm and q1_deg."
 )
 
 
@@ -146,7 +150,7 @@ def read_recording(
         )
     said = ""
     if drawing is None:
-        values = raw * _factors_as_said(table, found)
+        values = raw * factors_as_said(table, found, _NO_UNIT)
     else:
         at = [_POSITION.index(name) for name in position]
 
@@ -221,18 +225,6 @@ def _joint_places(
             "--column q1_deg=NAME or samples.recorded.columns."
         )
     return found
-
-
-def _factors_as_said(table: Table, columns: list[Column]) -> Floats:
-    """What each column is multiplied by; every unit has to be said."""
-    unsaid = [table.names[column.at] for column in columns if column.said is None]
-    if unsaid:
-        raise IksamplesError(
-            f"{table.path}: no unit is said for {', '.join(unsaid)[:200]}, and without a drawing "
-            "of the arm (--robot) it cannot be known. Write it into the names, such as x_mm and "
-            "q1_deg."
-        )
-    return np.array([UNITS[column.unit][str(column.said)] for column in columns])
 
 
 def _of_quaternions(table: Table) -> Floats:

@@ -137,12 +137,7 @@ def find_columns(
     Raises:
         IksamplesError: One is missing, stands twice, or is said to be in a unit of another kind.
     """
-    names = [name_and_unit(name) for name in table.names]
-    below = [str(cell or "").strip().strip("[]()").lower() for cell in table.rows[0]]
-    known = {unit for units in UNITS.values() for unit in units}
-    if set(below) - {"", "-"} and set(below) <= known | {"", "-"}:
-        names = [(name, said or unit) for (name, said), unit in zip(names, below, strict=True)]
-        table = Table(table.path, table.names, table.rows[1:], table.lines[1:])
+    names, table = with_units(table)
     found, missing = [], []
     for wanted, unit, called in places:
         at = [i for i, (name, _) in enumerate(names) if name in called]
@@ -165,6 +160,34 @@ def find_columns(
             f"{', '.join(table.names)[:200]}. {remedy}"
         )
     return found, table
+
+
+def with_units(table: Table) -> tuple[list[tuple[str, str]], Table]:
+    """Name and unit, if any, of each column; and the table without its row of units."""
+    names = [name_and_unit(name) for name in table.names]
+    below = [str(cell or "").strip().strip("[]()").lower() for cell in table.rows[0]]
+    known = {unit for units in UNITS.values() for unit in units}
+    if set(below) - {"", "-"} and set(below) <= known | {"", "-"}:
+        names = [(name, said or unit) for (name, said), unit in zip(names, below, strict=True)]
+        table = Table(table.path, table.names, table.rows[1:], table.lines[1:])
+    return names, table
+
+
+def factors_as_said(table: Table, columns: list[Column], remedy: str) -> Floats:
+    """What each column is multiplied by to be in the units here, shape (columns,).
+
+    Args:
+        table: Where they are from.
+        columns: What they are.
+        remedy: What is said where a unit is not.
+
+    Raises:
+        IksamplesError: No unit is said for a column.
+    """
+    unsaid = [table.names[column.at] for column in columns if column.said is None]
+    if unsaid:
+        raise IksamplesError(f"{table.path}: no unit is said for {', '.join(unsaid)[:200]}{remedy}")
+    return np.array([UNITS[column.unit][str(column.said)] for column in columns])
 
 
 def joint_places(names: Sequence[str], units: Sequence[str], inputs: Sequence[str]) -> list[Place]:
