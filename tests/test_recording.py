@@ -3,6 +3,7 @@
 import statistics
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -22,7 +23,8 @@ from iksamples.evaluation.paths import waypoints
 from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.recording.record import record_path
-from iksamples.recording.shown import blues
+from iksamples.recording.shown import blues, proof_text, read_proof
+from iksamples.region import Region
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
 from iksamples.study import Arm, Study, parse_study
@@ -405,6 +407,22 @@ def test_what_is_proved_of_the_shown_network_is_recorded(
     for said in ("Proved for", "orange", "worst point"):
         assert said in text
     assert heart.stat().st_size < 5_000_000
+
+
+def test_a_proof_says_what_it_is_over_and_rounds_outward(small: Study, proved: Cell) -> None:
+    task = study_task(small)
+    part = Region.box(task.x.lower, (task.x.lower + task.x.upper) / 2)
+    seed = proved.table("unsafe")["seed"].iloc[0]
+    for region, place in (
+        (task.region, "the workspace"),
+        (part, "the usable part of the workspace"),
+    ):
+        proof = read_proof(replace(task, region=region), proved, seed)
+        assert proof is not None
+        text = proof_text(replace(proof, safe=(0.12399, 0.99991)), 27)
+        assert f"every point of {place} and" in text
+        assert f"of {place}, smaller ones" in text
+        assert "between 12.3 % and 100 % of it" in text
 
 
 def test_no_proof_is_shown_where_none_is(heart: Path) -> None:

@@ -75,6 +75,11 @@ def described_on(study: Study, name: str, design: str) -> str:
     return words + where
 
 
+def domain(region_share: float) -> str:
+    """What errors and proofs are over: the workspace, or what the arm can use of it."""
+    return "the workspace" if region_share == 1 else "the usable part of the workspace"
+
+
 def trial(study: Study) -> str:
     """What a seed is: a training on the one arm, another arm, or another order of its records."""
     if study.samples.recorded:
@@ -145,6 +150,11 @@ def percent(share: float) -> str:
 def percent_down(share: float) -> str:
     """A share in per cent, rounded down: a lower end must not read as larger than it is."""
     return percent(math.floor(1000 * share + 1e-9) / 1000)
+
+
+def percent_up(share: float) -> str:
+    """A share in per cent, rounded up: an upper end must not read as smaller than it is."""
+    return percent(math.ceil(1000 * share - 1e-9) / 1000)
 
 
 def whole(n: float) -> str:

@@ -11,6 +11,7 @@ from iksamples.text import (
     allowed,
     described,
     described_on,
+    domain,
     millimetres,
     percent,
     percent_down,
@@ -221,9 +222,8 @@ def _over(study: Study, region_share: float) -> str:
     """What everything is over: the workspace, what the arm can use of it, or records."""
     if study.samples.recorded:
         return "what was held out"
-    if region_share == 1:
-        return "the workspace"
-    return f"the usable part of the workspace ({percent_down(region_share)} of the box)"
+    share = "" if region_share == 1 else f" ({percent_down(region_share)} of the box)"
+    return domain(region_share) + share
 
 
 def _asked(

@@ -119,7 +119,7 @@ class Measured:
         return np.concatenate(rows, axis=1)
 
 
-def drawn(task: Task) -> Fitted:
+def unmeasured(task: Task) -> Fitted:
     """What is known of a task's arm before a sample: the drawing, and the prior."""
     prior, noise_mm, _ = expectation(task.expected)
     return Fitted.unmeasured(task.drawing, prior, noise_mm)

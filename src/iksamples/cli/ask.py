@@ -27,6 +27,7 @@ def check(study_file: StudyFile) -> None:
     from iksamples.samples.record import record_samples, region_points
     from iksamples.study import NETWORK
     from iksamples.task import study_task
+    from iksamples.text import domain, percent_down
 
     study = read(study_file)
     if study.samples.recorded:
@@ -55,11 +56,9 @@ def check(study_file: StudyFile) -> None:
     box = region_points(Region.box(task.x.lower, task.x.upper), study.evaluation.cube_points)
     reach = task.reach(box)
     say(f"  workspace: {_in_words(reach.summary())}. {reach.where_to_go()}")
-    if task.region.n_boxes > 1:
-        say(
-            f"  everything is over the usable part of the workspace, {100 * task.region_share:.1f} "
-            "% of the box"
-        )
+    if task.region_share < 1:
+        share = percent_down(task.region_share)
+        say(f"  everything is over {domain(task.region_share)}, {share} of the box")
     say(f"  methods: {', '.join(study.all_methods)}; paths: {', '.join(study.evaluation.paths)}")
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sample_sets(study, method=NETWORK)) * seeds

@@ -145,7 +145,7 @@ def size(
     _size_recording(sized_study(settings, where), robot is not None, bool(given))
 
 
-def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
+def _size_recording(study: "Study", has_drawing: bool, judged: bool) -> None:
     from iksamples.plan import require_affordable
     from iksamples.recorded.learn import learning_curve
     from iksamples.recorded.told import told
@@ -153,7 +153,7 @@ def _size_recording(study: "Study", drawn: bool, judged: bool) -> None:
     require_affordable(
         study, "Ask for fewer --subsets, or make a study of the recording, with a larger budget."
     )
-    found = learning_curve(study, drawn)
+    found = learning_curve(study, has_drawing)
     say("\n".join(told(study, found, judged)))
 
 

@@ -38,7 +38,7 @@ MEASURES = {"error_mm": "error_{}_mm", "angle_deg": "angle_{}_deg"}
 
 
 @dataclass(frozen=True)
-class Tracking:
+class Reached:
     """What a method does when asked for some inputs.
 
     Attributes:
@@ -61,7 +61,7 @@ class Tracking:
         return {"error_mm": self.error_mm, **turned}
 
 
-def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
+def send(predictor: Predictor, task: Task, x: Floats) -> Reached:
     """Asks a method for inputs and follows it through the forward kinematics of each seed's arm.
 
     Args:
@@ -81,10 +81,10 @@ def send(predictor: Predictor, task: Task, x: Floats) -> Tracking:
         return np.concatenate(rows)
 
     angle = joined("angle_deg") if task.turns else None
-    return Tracking(joined("joints"), joined("reached_mm"), joined("error_mm"), angle)
+    return Reached(joined("joints"), joined("reached_mm"), joined("error_mm"), angle)
 
 
-def _followed(predictor: Predictor, task: Task, x: Floats) -> Tracking:
+def _followed(predictor: Predictor, task: Task, x: Floats) -> Reached:
     """As ``send``, all at once."""
     joints, target = predictor.predict(x), task.target
     arms = [task.arm_of(seed) for seed in predictor.seeds]
@@ -97,7 +97,7 @@ def _followed(predictor: Predictor, task: Task, x: Floats) -> Tracking:
     angle = None
     if task.turns:
         angle = np.degrees(of_each(lambda arm, own: target.angle_error_rad(arm, own, x)))
-    return Tracking(
+    return Reached(
         joints,
         of_each(lambda arm, own: arm.forward_mm(own)),
         of_each(lambda arm, own: target.position_error_mm(arm, own, x)),

@@ -80,7 +80,7 @@ def fit_recording(study: Study) -> ArmFit:
     Raises:
         IksamplesError: The records cannot be read or used.
     """
-    recording, doubts = read_checked(study, drawn=True)
+    recording, doubts = read_checked(study, has_drawing=True)
     task, whole, n = recorded_task(study, recording), whole_set(study, recording), len(recording)
     held_out = np.empty(n)
     order = np.random.default_rng([0, _STREAM]).permutation(n)

@@ -95,12 +95,12 @@ def sized_study(settings: dict[str, Any], where: str) -> Study:
     return parse_study(settings | _USUAL | {"samples": samples}, where)
 
 
-def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
+def read_checked(study: Study, has_drawing: bool) -> tuple[Recording, list[str]]:
     """The study's records, and what is odd about them (``doubts.checked``).
 
     Args:
         study: The study.
-        drawn: Whether its arm's file is a drawing of theirs.
+        has_drawing: Whether its arm's file is a drawing of theirs.
 
     Raises:
         IksamplesError: They cannot be read, or not be used.
@@ -108,7 +108,7 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     settings = study.recording
     if not Path(settings.path).exists():
         raise IksamplesError(settings.missing())
-    drawing = study_chain(study) if drawn else None
+    drawing = study_chain(study) if has_drawing else None
     if settings.kind == "lerobot" or is_lerobot(Path(settings.path)):
         return checked(read_lerobot(settings, drawing), drawing)
     if Path(settings.path).is_dir():
@@ -128,26 +128,26 @@ def read_checked(study: Study, drawn: bool) -> tuple[Recording, list[str]]:
     return recording, doubts
 
 
-def learning_curve(study: Study, drawn: bool = True) -> Learned:
+def learning_curve(study: Study, has_drawing: bool = True) -> Learned:
     """What a recording says: every method on beginnings of its orders, judged by the rest.
 
     Args:
         study: The study, with ``samples.recorded``.
-        drawn: Whether its arm's file is a drawing of theirs.
+        has_drawing: Whether its arm's file is a drawing of theirs.
 
     Raises:
         IksamplesError: The records cannot be read or used, or are too few.
     """
     settings = study.recording
-    if drawn:
+    if has_drawing:
         study.require_own_arm()
     if settings.kind == "sockets":
         drawing = study_chain(study)
         places = read_places(settings, drawing)
         rows, left_out = judged_sockets(study, drawing, places)
         return Learned(*_of_sockets(settings, drawing, places), rows, left_out)
-    recording, doubts = read_checked(study, drawn)
-    task = recorded_task(study, recording) if drawn else None
+    recording, doubts = read_checked(study, has_drawing)
+    task = recorded_task(study, recording) if has_drawing else None
     return Learned(_of_table(study, recording), doubts, *judged(study, recording, task))
 
 
@@ -158,7 +158,7 @@ def looked_at(study: Study) -> tuple[str, list[str]]:
     if settings.kind == "sockets":
         drawing = study_chain(study)
         return _of_sockets(settings, drawing, read_places(settings, drawing))
-    recording, doubts = read_checked(study, drawn=True)
+    recording, doubts = read_checked(study, has_drawing=True)
     orders(study, len(recording))
     return _of_table(study, recording), doubts
 

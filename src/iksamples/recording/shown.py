@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import MM_PER_M, Floats
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import Tracking, median_seed, networks_over_epochs, send
+from iksamples.evaluation.errors import Reached, median_seed, networks_over_epochs, send
 from iksamples.files import stored_table
 from iksamples.results import Cell
 from iksamples.task import Task
+from iksamples.text import domain, percent, percent_down, percent_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class ShownGrid:
     reached_mm: Floats
     error_mm: Floats
     epochs: NDArray[np.int64]
-    learning: Tracking
+    learning: Reached
 
     @property
     def n_samples(self) -> int:
@@ -121,8 +122,9 @@ class Proof:
         lower_mm: Lower corners of boxes in which the error is above the tolerance [mm], (boxes, 3).
         upper_mm: Their upper corners [mm], shape (boxes, 3).
         tolerance_mm: The tolerance [mm].
-        safe: Least and largest share of the workspace that can be under the tolerance.
-        drawn: The boxes' share of the workspace.
+        place: What is proved over, in words.
+        safe: Least and largest share of it that can be under the tolerance.
+        drawn: The boxes' share of it.
         epochs: Epochs at which the network was kept, shape (epochs,).
         sup_mm: Its certified worst case then [mm], shape (epochs,).
         worst_mm: Where the trained network's error is largest [mm], shape (3,), if known.
@@ -132,6 +134,7 @@ class Proof:
     lower_mm: Floats
     upper_mm: Floats
     tolerance_mm: float
+    place: str
     safe: tuple[float, float]
     drawn: float
     epochs: NDArray[np.int64]
@@ -164,6 +167,7 @@ def read_proof(task: Task, cell: Cell, seed: int) -> Proof | None:
         lower,
         upper,
         float(head["tolerance_mm"]),
+        domain(task.region_share),
         (float(head["safe_lower"]), float(head["safe_upper"])),
         float(head["drawn"]),
         training["epoch"].to_numpy(np.int64),
@@ -250,16 +254,16 @@ def proof_view(
 
 def proof_text(proof: Proof, n_samples: int) -> str:
     """What the text panel says of it (Markdown)."""
-    least, most = (100 * share for share in proof.safe)
+    least, most = proof.safe
     lines = [
-        f"Proved for the network of {n_samples} samples that moves the arm, for every point of the "
-        f"workspace and not only for points tested: between {least:.1f} % and {most:.1f} % of the "
-        f"workspace has an error of at most {proof.tolerance_mm:g} mm."
+        f"Proved for the network of {n_samples} samples that moves the arm, for every point of "
+        f"{proof.place} and not only for points tested: between {percent_down(least)} and "
+        f"{percent_up(most)} of it has an error of at most {proof.tolerance_mm:g} mm."
     ]
     if len(proof.lower_mm):
         lines.append(
             "In the **orange** boxes of the third tab the error is larger everywhere; they fill "
-            f"{100 * proof.drawn:.1f} % of the workspace, smaller ones are left out."
+            f"{percent(proof.drawn)} of {proof.place}, smaller ones are left out."
         )
     if proof.worst_mm is not None:
         x, y, z = proof.worst_mm

@@ -19,7 +19,7 @@ from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
-from iksamples.text import trial
+from iksamples.text import domain, trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,7 @@ class ReportData:
     @property
     def place(self) -> str:
         """What errors and proofs are over, in words."""
-        whole = (self.runs["region_share"] == 1).all()
-        return "the workspace" if whole else "the usable part of the workspace"
+        return domain(self.runs["region_share"].min())
 
     @property
     def trial(self) -> str:

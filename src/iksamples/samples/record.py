@@ -10,7 +10,7 @@ from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import Solution, followed, require_usable_lattice
 from iksamples.arm.real import RealArm, rotation_of
 from iksamples.calibration.design import CANDIDATES, optimal
-from iksamples.calibration.worst import Measured, drawn
+from iksamples.calibration.worst import Measured, unmeasured
 from iksamples.errors import IksamplesError
 from iksamples.region import Region
 from iksamples.samples import designs
@@ -193,7 +193,7 @@ def _from_joints(task: Task, n: int, generator: np.random.Generator) -> Floats:
 def _optimal(task: Task, n: int, draw: Callable[[int], Floats]) -> Floats:
     """The drawn inputs that tell most about the drawing, all together, shape (n, d)."""
     x = _usable(task, max(CANDIDATES, 2 * n), draw)
-    before = drawn(task)
+    before = unmeasured(task)
     informs = Measured.of(task).informs(before, task.reach(x).joints)
     return x[optimal(before, informs, n)]
 
