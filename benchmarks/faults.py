@@ -17,6 +17,7 @@ import json
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
 from collections import Counter, defaultdict
@@ -25,10 +26,12 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
+from statistics import fmean
 from tempfile import gettempdir
 
 from faults_folder import (
     RESULTS,
+    ROOT,
     Shim,
     call,
     content,
@@ -38,6 +41,7 @@ from faults_folder import (
     said_plainly,
     steps,
 )
+from faults_stops import Folder, Stops, fingerprint
 from faults_whole import WHOLE, Whole
 
 from iksamples.study import read_study
@@ -61,6 +65,7 @@ ENVIRONMENT = {
     "PYTHONPATH": str(Path(__file__).parents[1] / "src"),
 }
 WORDS = {
+    "state": "a step stopped at a file operation, its folder as a kill leaves it",
     "SIGKILL": "a step killed at a file operation",
     "SIGTERM": "a step told to end (SIGTERM) at one",
     "SIGINT": "Ctrl-C in a step at one",
@@ -89,6 +94,7 @@ class Steps:
         self.initial: dict[str, dict[str, str]] = {}
         self.after: dict[str, dict[str, str]] = {}
         self.operations: dict[str, int] = {}
+        self.left = ""
 
     def prepare(self) -> None:
         """Runs every step twice, in their order, and loads what they load into this process.
@@ -130,6 +136,7 @@ class Steps:
         hit = self.shim.state.what.decode(errors="replace")
         if not hit:
             return "", ""
+        self.left = fingerprint(Folder(self.work).files())
         if wrong := self.first_look(fault, name, code, said):
             return hit, wrong
         return hit, self.recovers(name)
@@ -229,12 +236,26 @@ def campaign(options, folder, shim, log, done, start) -> None:
     planned = sorted(trials, key=lambda name: trials[name])[k - 1 :: n]
     planned = [name for name in planned if only.search(name)]
     of = Counter(name.split("/")[0] for name in trials)
+    of["state"] = sum(on_steps.operations.values())
     print(f"{len(planned)} trials planned; undisturbed runs took {time.monotonic() - start:.0f} s")
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True
+    ).stdout.strip()
+
+    def tell(trial: dict) -> None:
+        name = trial["name"]
+        done[name] = {**trial, "of": of[name.split("/")[0]], "commit": commit}
+        with log.open("a") as file:
+            file.write(json.dumps(done[name]) + "\n")
+        if trial["wrong"]:
+            print(f"FAILED {name} ({trial['hit']}): {trial['wrong']}", flush=True)
+
+    end = start + 60 * options.minutes
     for name in planned:
-        if name in done and not options.only:
+        if name in done and not done[name]["wrong"]:
             continue
-        if time.monotonic() - start > 60 * options.minutes:
-            break
+        if time.monotonic() > end:
+            return
         kind, _, rest = name.partition("/")
         began = time.monotonic()
         if kind in FAULTS:
@@ -242,14 +263,16 @@ def campaign(options, folder, shim, log, done, start) -> None:
             hit, wrong = on_steps.trial(kind, step, int(at))
         else:
             hit, wrong = whole.trial(kind, rest)
-        done[name] = {
-            "name": name, "hit": hit, "wrong": wrong, "s": round(time.monotonic() - began, 2),
-            "of": of[kind],
-        }  # fmt: skip
-        with log.open("a") as file:
-            file.write(json.dumps(done[name]) + "\n")
-        if wrong:
-            print(f"FAILED {name} ({hit}): {wrong}", flush=True)
+        trial = {"name": name, "hit": hit, "wrong": wrong, "s": round(time.monotonic() - began, 2)}
+        tell(trial | ({"left": on_steps.left} if kind == "SIGKILL" else {}))
+    stops = Stops(on_steps, shim, end)
+    for step, operations in on_steps.operations.items():
+
+        def wanted(at: int, step: str = step) -> bool:
+            return at % n == k - 1 and bool(only.search(f"state/{step}/{at}"))
+
+        if any(map(wanted, range(operations))) and time.monotonic() < end:
+            of["state"] += stops.each(step, wanted, done, tell) - operations
 
 
 def table(done: dict[str, dict]) -> str:
@@ -263,9 +286,17 @@ def table(done: dict[str, dict]) -> str:
     for kind, words in WORDS.items():
         if trials := kinds[kind]:
             failed = sum(bool(trial["wrong"]) for trial in trials)
-            mean_s = sum(trial["s"] for trial in trials) / len(trials)
+            mean_s = fmean(trial["s"] for trial in trials if "as" not in trial)
             counts = [len(trials), trials[-1]["of"], len(trials) - failed, failed]
             lines.append(f"| {words} | {' | '.join(map(str, counts))} | {mean_s:.1f} |")
+    if states := kinds["state"]:
+        distinct = sum("as" not in trial for trial in states)
+        lines += ["", f"The {len(states)} stops left {distinct} different folders; each was tried."]
+    kills = [(t["left"], done.get(t["name"].replace("SIGKILL", "state"))) for t in kinds["SIGKILL"]]
+    pairs = [(left, stop["left"]) for left, stop in kills if stop]
+    if pairs:
+        same = sum(left == stop for left, stop in pairs)
+        lines.append(f"Of {len(pairs)} kills {same} left what the stop at the same operation did.")
     bad = [t for t in done.values() if t["wrong"]]
     lines += ["", *(f"- `{t['name']}` ({t['hit']}): {t['wrong']}" for t in bad)]
     return "\n".join(lines) + "\n"

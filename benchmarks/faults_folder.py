@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -55,7 +55,8 @@ class State(ctypes.Structure):
     """What faults.c shares with every process of a command."""
 
     _fields_ = (
-        *((name, ctypes.c_long) for name in ("armed", "count", "at", "action", "lasting", "group")),
+        *((name, ctypes.c_long) for name in ("armed", "count", "at", "action", "lasting")),
+        *((name, ctypes.c_long) for name in ("group", "stopped")),
         *((name, ctypes.c_char * 1024) for name in ("root", "log", "what")),
     )
 
@@ -90,7 +91,16 @@ class Shim:
         state = self.state
         state.count, state.at, state.action, state.lasting = 0, at, action, lasting
         state.root, state.log, state.what = f"{root}/".encode(), b"", b""
+        state.stopped = 0
         state.armed = 1
+
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """Lets it watch something else for a while."""
+        kept = bytes(self.state)
+        self.state.armed = 0
+        yield
+        ctypes.memmove(ctypes.addressof(self.state), kept, len(kept))
 
     def disarm(self) -> int:
         """Stops counting; operations so far."""
@@ -134,7 +144,8 @@ def call(
     folder: Path,
     shim: Shim,
     say: Path,
-    then: Callable[[], None] | None = None,
+    then: Callable[[], None] = lambda: None,
+    at_stop: Callable[[], bool] = lambda: True,
 ) -> tuple[int, str]:
     """Runs a command of iksamples in a fork of this process, which has the libraries loaded.
 
@@ -144,6 +155,7 @@ def call(
         shim: Its group is set to the command's.
         say: File for what the command says.
         then: Called in the fork after the command.
+        at_stop: Called whenever the command is stopped; says whether it may go on.
 
     Returns:
         Its exit status (below 0: the signal that ended it; -1000 where it had to be stopped), and
@@ -165,15 +177,22 @@ def call(
         finally:
             os._exit(code)
     end = time.monotonic() + PATIENCE_S
-    while (ended := os.waitpid(pid, os.WNOHANG))[0] == 0:
-        if time.monotonic() > end:
+    while True:
+        ended, status = os.waitpid(pid, os.WNOHANG | os.WUNTRACED)
+        if ended and os.WIFSTOPPED(status):
+            goes_on, end = at_stop(), time.monotonic() + PATIENCE_S
+            shim.state.group, shim.state.stopped = pid, 0
+            os.killpg(pid, signal.SIGCONT if goes_on else signal.SIGKILL)
+        elif ended:
+            break
+        elif time.monotonic() > end:
             os.killpg(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
             return -1000, _read(say)
-        time.sleep(0.01)
+        time.sleep(0.001)
     with contextlib.suppress(ProcessLookupError):  # its children
         os.killpg(pid, signal.SIGKILL)
-    return os.waitstatus_to_exitcode(ended[1]), _read(say)
+    return os.waitstatus_to_exitcode(status), _read(say)
 
 
 def _main(arguments: list[str]) -> int:
