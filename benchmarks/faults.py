@@ -233,8 +233,7 @@ def campaign(options, folder, shim, log, done, start) -> None:
         whole = Whole(folder, shim, on_steps)
         trials |= {name: turn for turn, name in whole.trials()}
     k, n = map(int, options.part.split("/"))
-    planned = sorted(trials, key=lambda name: trials[name])[k - 1 :: n]
-    planned = [name for name in planned if only.search(name)]
+    planned = sorted(filter(only.search, trials), key=lambda name: trials[name])[k - 1 :: n]
     of = Counter(name.split("/")[0] for name in trials)
     of["state"] = sum(on_steps.operations.values())
     print(f"{len(planned)} trials planned; undisturbed runs took {time.monotonic() - start:.0f} s")

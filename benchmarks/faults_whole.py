@@ -130,16 +130,16 @@ class Whole:
     # Damage
 
     def kinds_of_files(self) -> list[str]:
-        """One file of each kind that the study wrote."""
+        """One file of each kind that the study wrote, but for those that nothing reads afterwards."""
         found = {}
         for file in sorted([*self.work.glob("results/**/*"), *self.work.glob("reports/**/*")]):
             place = file.relative_to(self.work)
-            if not file.is_file() or {"logs", "benchmarks"} & set(place.parts):
+            if not file.is_file() or {"logs", "benchmarks", "cache", "fresh"} & set(place.parts):
                 continue
             if file.suffix in (".sha256", ".lock") or not file.stat().st_size:
                 continue
-            # Of a set of samples, a key and a method one stands for all.
-            kind = re.sub(r"grid\d|[0-9a-f]{8,}|(?<=/)(relu|cubic)(?=/)", "", str(place))
+            # Of a set of samples, a method and a figure one stands for all.
+            kind = re.sub(r"grid\d|(?<=/)(relu|cubic)(?=/)|(?<=figures/)[^.]+", "", str(place))
             found.setdefault(kind, str(place))
         return list(found.values())
 
