@@ -6,12 +6,16 @@ the same command is typed again in a copy of the folder under its own name.
 
 Of operations that leave the same folder one is tried. Of unfinished files only names count there:
 the log of the second command must say that none of them was used before it was emptied or removed.
+Of the MLflow store it counts what SQLite finds when it opens it, which may roll a journal back, and
+whether that changed it: a transaction has thousands of half-written journals.
 """
 
+import contextlib
 import hashlib
 import re
 import shutil
 import signal
+import sqlite3
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +25,7 @@ from faults_folder import Shim, call, restore
 
 Files = dict[str, tuple[int, str]]
 """By their places, sizes [bytes] and digests; of a folder -1 and nothing."""
+STORE = "mlflow.db"
 _RACY_NS = 100_000_000
 """A file may change twice within a tick of the file system's clock."""
 _VARIES = re.compile(r"mlflow\.db|mlruns|tracking\.json|certificates|\.rrd|index\.html|.damaged")
@@ -79,6 +84,26 @@ def _digest(parts) -> str:
     return hashlib.sha256(repr(sorted(parts)).encode()).hexdigest()[:16]
 
 
+def store_found(folder: Path, files: Files, aside: Path) -> Files:
+    """What SQLite finds in the MLflow store of a folder: before, after, and that it has a journal.
+
+    Args:
+        folder: The folder, whose store is not touched.
+        files: What is in it.
+        aside: A folder to open a copy in.
+    """
+    if not {STORE, f"{STORE}-journal"} <= files.keys():
+        return files
+    aside.mkdir(exist_ok=True)
+    for name in (STORE, f"{STORE}-journal"):
+        shutil.copy(folder / name, aside)
+    with contextlib.closing(sqlite3.connect(aside / STORE)) as store:
+        store.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    found = hashlib.sha256((aside / STORE).read_bytes()).hexdigest()
+    mended = "mended " * (found != files[STORE][1])
+    return {**files, STORE: (0, mended + found), f"{STORE}-journal": (0, "")}
+
+
 class Stops:
     """A step, stopped at each of its operations, and what a second command makes of each state."""
 
@@ -114,12 +139,13 @@ class Stops:
             shim.state.what = b""
             files, name = folder.files(), f"state/{step}/{at}"
             trial = {"name": name, "hit": hit, "left": fingerprint(files), "s": 0.0}
+            left = state(store_found(on.work, files, self.stopped.with_name("store")))
             if name in done and not done[name]["wrong"]:
-                tried.setdefault(state(files), name)
-            elif same := tried.get(state(files)):
+                tried.setdefault(left, name)
+            elif same := tried.get(left):
                 tell({**trial, "wrong": done[same]["wrong"], "as": same})
             elif wanted(at):
-                tried[state(files)] = name
+                tried[left] = name
                 began = time.monotonic()
                 wrong = self.goes_on(step, files)
                 tell({**trial, "wrong": wrong, "s": round(time.monotonic() - began, 2)})
@@ -148,5 +174,6 @@ class Stops:
         for line in log.read_text().splitlines() if log.exists() else []:
             _, what, place = line.split(" ", 2)
             first.setdefault(place, what)
-        used = [place for place in files if unfinished(place) and first.get(place) == "use"]
+        leftovers = [place for place, (size, _) in files.items() if unfinished(place) and size >= 0]
+        used = [place for place in leftovers if first.get(place) == "use"]
         return wrong or "; ".join(f"a leftover is used: {place}" for place in used[:3])

@@ -130,7 +130,7 @@ class Whole:
     # Damage
 
     def kinds_of_files(self) -> list[str]:
-        """One file of each kind that the study wrote, but for those that nothing reads afterwards."""
+        """One file of each kind that the study wrote, but for what nothing reads afterwards."""
         found = {}
         for file in sorted([*self.work.glob("results/**/*"), *self.work.glob("reports/**/*")]):
             place = file.relative_to(self.work)

@@ -547,6 +547,12 @@ def test_a_new_file_is_made_whole_or_not_at_all(small: Study, results: list[Cell
     Path(".unfinished-mlflow.db/mlflow.db-journal").write_bytes(b"and its journal")
     log(at(small, None), results)
     assert {path.name for path in Path().iterdir()} == {"mlflow.db", "mlruns"}
+    # And right after it.
+    Path(".unfinished-mlflow.db").mkdir()
+    os.link("mlflow.db", ".unfinished-mlflow.db/mlflow.db")
+    Path(".mlflow.db.lock").touch()
+    log(at(small, None), results)
+    assert {path.name for path in Path().iterdir()} == {"mlflow.db", "mlruns"}
     assert len(current(DEFAULT_URI)) == RUNS
 
 

@@ -333,12 +333,14 @@ def _make_sqlite_file(uri: str) -> None:
             f"tracking.uri: {uri} would be gone at the end; name a file, as in sqlite:///mlflow.db."
         )
     path = Path(str(database))
-    if path.exists():
+    # A folder, since SQLite keeps a journal beside an unfinished file.
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    lock = path.with_name(f".{path.name}.lock")
+    # A kill right after the store got its name leaves the other two.
+    if path.exists() and not (unfinished.exists() or lock.exists()):
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_name(f".{path.name}.lock")) as lock:
-        # A folder, since SQLite keeps a journal beside an unfinished file.
-        unfinished = path.with_name(f".unfinished-{path.name}")
+    with FileLock(lock):
         shutil.rmtree(unfinished, ignore_errors=True)
         if not path.exists():
             unfinished.mkdir()
@@ -349,4 +351,4 @@ def _make_sqlite_file(uri: str) -> None:
             finally:
                 shutil.rmtree(unfinished, ignore_errors=True)
         # Whoever still waits for this lock, or makes another, finds the store made.
-        Path(lock.lock_file).unlink()
+        lock.unlink()
