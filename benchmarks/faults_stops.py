@@ -151,6 +151,7 @@ class Stops:
                 tell({**trial, "wrong": wrong, "s": round(time.monotonic() - began, 2)})
             return time.monotonic() < self.end
 
+        shutil.rmtree(self.stopped, ignore_errors=True)  # of a campaign that was ended
         restore(on.before(step), on.work)
         shim.arm(on.work, -signal.SIGSTOP, lasting=True)
         call(on.commands[step], on.work, shim, on.say.with_name("stopped.txt"), at_stop=look)
