@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +12,11 @@ import pytest
 from measured_arms import recorded
 from typer.testing import CliRunner
 
+from iksamples.certify.step import MOST_INPUTS_OF_A_MEAN
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
-from iksamples.plan import plan_study, require_affordable, resources
+from iksamples.evaluation.errors import MAX_EPOCHS
+from iksamples.plan import plan_study, proofs, require_affordable, resources, steps
 from iksamples.plan.text import in_words, plan_text
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
@@ -112,6 +115,40 @@ def test_arms_of_which_nothing_can_be_proved_have_a_plan():
     steps = {step.step: step for step in plan_study(study).steps}
     assert "prove" not in steps
     assert steps["evaluate"].seconds > 0
+
+
+def test_every_rule_is_planned():
+    """And asks for what is planned for it, or for what it is a part of."""
+    rules = "".join(file.read_text() for file in Path("workflow/rules").glob("*.smk"))
+    pairs = re.findall(r'^rule (\w+):(?:(?!^rule ).)*?asked\(STUDY, "(\w+)"\)', rules, re.M | re.S)
+    assert len(pairs) == len(re.findall(r"^rule ", rules, re.M))
+    for rule, asked in pairs:
+        assert asked == rule.removesuffix("_part")
+        assert asked in steps.START
+
+
+def test_a_plan_knows_what_is_proved():
+    """Said again there, since to import it would take longer than a plan."""
+    assert proofs._MOST_INPUTS_OF_A_MEAN == MOST_INPUTS_OF_A_MEAN
+    assert proofs._EPOCHS == MAX_EPOCHS
+
+
+@pytest.mark.parametrize(
+    ("more", "step", "times"),
+    [
+        ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "evaluate", 1.5),
+        ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "prove", 1.3),
+        ({"bounds": {"mean_rtol": 0.005}}, "prove", 2),
+        ({"training": {"snapshots": 25}}, "map", 0.7),
+    ],
+)
+def test_what_a_step_takes_hangs_on_what_it_does(more, step, times):
+    large = {"evaluation": {"cube_points": 100_000}}
+    seconds = [
+        {one.step: one.seconds for one in plan_study(parse_study(settings)).steps}[step]
+        for settings in ({"name": "s", **large, **more}, {"name": "s", **large})
+    ]
+    assert seconds[0] > times * seconds[1] if times > 1 else seconds[0] < times * seconds[1]
 
 
 def test_a_scheduler_is_asked_for_more_than_the_estimate():

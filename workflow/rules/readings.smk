@@ -18,7 +18,7 @@ rule search:
     benchmark:
         "results/{study}/benchmarks/search/{part}.jsonl"
     resources:
-        **asked(STUDY, "train"),
+        **asked(STUDY, "search"),
     params:
         study="results/{study}/study.json",
         arm=ARM,
@@ -42,7 +42,7 @@ rule confirm:
     benchmark:
         "results/{study}/benchmarks/confirm/{part}.jsonl"
     resources:
-        **asked(STUDY, "train"),
+        **asked(STUDY, "confirm"),
     params:
         study="results/{study}/study.json",
         arm=ARM,

@@ -5,6 +5,7 @@ against runs; memory is what a process takes beside Python and its libraries.
 """
 
 from collections.abc import Iterable, Mapping
+from math import ceil, log2
 from typing import NamedTuple
 
 from iksamples.methods.registry import KINDS
@@ -44,12 +45,24 @@ _STACKED_STEP, _STACKED_FLOPS = 5e-4, 1e10
 """Of the reference engine: a step of the whole stack, and floating-point operations per second."""
 _ITERATION, _GRAM, _SOLVE = 5e-5, 1e10, 1.5e10
 """Of Levenberg-Marquardt, per seed: an iteration, and operations per second of its two products."""
+_TUNED = {"gaussian-process": 60, "residual": 12}
+"""Kernels that are tried; of what a drawing leaves there is little to learn."""
 _SAMPLE = 4e-5
 """Of recording one sample on one arm."""
 _SOLVED = 3e9
 """Operations per second of dense matrices: kernels, designs."""
-_ADAPTIVE = 9.0
-"""Training of the networks that choose the adaptive sets."""
+_SET, _FOLLOWED, _MASKED = 0.1, 0.5, 4.0
+"""Where an arm is followed from its home posture: beside the samples of each set; before the first;
+and to find which part of the workspace it can use, if not all."""
+_LIGHTNING, _ROUND = 4.5, 0.15
+"""Of the adaptive sets: to import what trains, and each round beside its training."""
+_GUIDING: dict[str, object] = {
+    "optimizer": "adam",
+    "steps": 4000,
+    "seeds": 16,
+    "early_stopping": None,
+    "engine": "auto",
+}
 
 
 def shape_of(study: Study) -> Shape:
@@ -144,15 +157,18 @@ def fit_bytes(study: Study, shape: Shape, name: str, method: Method) -> Terms:
 def kernel_seconds(kind: str, n: int) -> float:
     """Of one fit of a method that is not trained to n samples."""
     if kind in ("rbf", "gaussian-process", "residual"):
-        tuned = 0.0 if kind == "rbf" else 60 * (0.004 + min(n, 256) ** 3 / _SOLVED)
-        return tuned + (min(n, MOST_SAMPLES) ** 3 / _SOLVED if n <= MOST_SAMPLES else 0.0)
-    return 0.01 + 1e-5 * n
+        if n > MOST_SAMPLES:
+            return 0.0
+        if kind == "rbf":
+            return 0.1 * n**3 / _SOLVED
+        return _TUNED[kind] * (0.004 + min(n, 256) ** 3 / _SOLVED) + n**3 / _SOLVED
+    return 0.05 + 1e-4 * n if kind == "calibrated" else 0.01 + 1e-5 * n
 
 
 def answer_seconds(kind: str, n: int, joints: int) -> float:
     """Of one answer of such a method."""
     if kind in ("rbf", "gaussian-process", "residual"):
-        return 1.5e-8 * min(n, MOST_SAMPLES) * (n <= MOST_SAMPLES) + 1e-6
+        return (5e-9 if kind == "rbf" else 1e-7) * n * (n <= MOST_SAMPLES) + 1e-6
     return 2e-6 if KINDS[kind].needs_grid else 4e-6 * joints
 
 
@@ -170,12 +186,18 @@ def recording(study: Study, shape: Shape) -> Terms:
     found[(shape.said,)] = _SAMPLE * n_all * (1 + 2 * shape.arms)
     if shape.arms:
         found[(shape.said, "training.seeds")] = found.pop((shape.said,))
+    robot, n_sets = study.robot, sum(map(len, shape.sizes.values()))
+    if robot.home_rad or robot.home_mm:
+        masked = _MASKED if study.samples.unreachable == "mask" else 0.0
+        found[("samples.unreachable", shape.said)] = _FOLLOWED + masked + _SET * n_sets
     if "adaptive" in shape.sizes:
-        own = study.all_methods[NETWORK]
-        largest = max(shape.sizes["adaptive"])
-        engine, weights = engine_of(study, shape, own)
-        one = fit_seconds(own, engine, weights, largest, 16) if engine == "reference" else 0.0
-        found[("samples.designs", "network.hidden")] = _ADAPTIVE * weights / 115 + one
+        own, n = study.all_methods[NETWORK], max(shape.sizes["adaptive"])
+        guide = own.model_copy(update={"training": own.training.model_copy(update=_GUIDING)})
+        engine, weights = engine_of(study, shape, guide)
+        each = _ROUND + fit_seconds(guide, engine, weights, n, guide.training.seeds)
+        # From 8 samples on, or the corners, there are 1.4 times as many after each.
+        rounds = max(0.0, 2 * log2(n / max(8, 2**shape.inputs)))
+        found[("samples.designs", "network.hidden")] = _LIGHTNING + ceil(rounds) * each
     for n in shape.sizes.get("optimal", []):
         width = 6.0 * (shape.joints + 1)
         key = ("samples.designs", shape.said)
@@ -191,7 +213,11 @@ def recording_bytes(study: Study, shape: Shape, n: int) -> Terms:
     optimal = 3 * 8.0 * 6 * width * 2 * max(shape.sizes.get("optimal", [0]))
     solved = 1500.0 * n * (4 if {"uniform", "joints"} & shape.sizes.keys() else 1)
     arms = 16.0 * n * shape.joints * shape.arms
+    trained = 465e6 if "adaptive" in shape.sizes else 0.0
+    masked = 140e6 if study.samples.unreachable == "mask" else 0.0
     return {
+        ("samples.designs",): trained,
+        ("samples.unreachable",): masked,
         (shape.said,): solved,
         (shape.said, "samples.designs"): optimal,
         (shape.said, "training.seeds"): arms,

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from math import ceil
 
 import iksamples.plan.costs as costs
+import iksamples.plan.proofs as proofs
 from iksamples.methods.registry import KINDS
 from iksamples.plan.costs import Settings, Shape, Terms, largest, of, total
 from iksamples.plan.whole import MethodPlan, Plan, StepPlan
@@ -33,19 +34,16 @@ START = {
     "describe": 2.5,
     "search": 4.5,
     "confirm": 4.5,
+    "rank": 0.8,
     "page": 2.0,
 }
 """A job with next to nothing to do: Python with what it imports."""
-_POINT, _POINT_JOINT, _POINT_WEIGHT = 3e-7, 1.2e-7, 1e-9
+_POINT, _POINT_JOINT, _POINT_WEIGHT = 3.5e-7, 1.3e-7, 6e-10
 """Of a network at a point: its statistics, the arm's motion by joint, the network by weight."""
-_PROOF, _WIDER = {"adam": 0.03, "levenberg-marquardt": 0.13}, 1.75
-"""Worst case and mean of one network of 115 weights, proved and checked; more weights' power."""
-_NEURON = 55e3
+_TURNED = 3.5
+"""Times as much where the tool's angle is measured as well."""
+_NEURON, _WIDER = 55e3, 1.75
 """Memory of a search for the worst case [bytes], times a power of the hidden neurons."""
-_TABLE_PROOF, _TABLE_CELL = 0.05, 7e-4
-"""The same of a table, beside its cells and by cell."""
-_MAP = {"adam": 0.15, "levenberg-marquardt": 2.5}
-"""What is proved for pictures of one set of samples, where a network has 115 weights."""
 _RUN = 0.1
 """Logging of a method on one set of samples to MLflow."""
 _JOB = 600.0
@@ -60,10 +58,12 @@ _BASE_MB |= {
     "evaluate": 185.0,
     "evaluate_untrained": 200.0,
     "prove": 155.0,
+    "bounds": 160.0,
     "map": 165.0,
     "collect": 145.0,
     "answer": 170.0,
     "track": 290.0,
+    "rank": 130.0,
 }
 _OTHER_MB = 230.0
 _ROWS, _ROW = 2**20, 170
@@ -109,9 +109,8 @@ def _cut(study: Study, work: Terms, n_seeds: int) -> list[Terms]:
 
 def proof_seconds(study: Study, plan: MethodPlan) -> float:
     """Expected time of the proofs of a method's networks [s]."""
-    shape, method = costs.shape_of(study), study.all_methods[plan.method]
-    weights = method.network.n_parameters(shape.inputs, shape.joints)
-    return _proof(method.training.optimizer, weights, shape.inputs) * plan.networks
+    method = study.all_methods[plan.method]
+    return proofs.network_seconds(study, costs.shape_of(study), method) * plan.networks
 
 
 def _fit(study: Study, shape: Shape, name: str, method: Method, cached: int) -> MethodPlan:
@@ -149,7 +148,8 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
     yield _step("train", _cut(study, training, n_seeds), memory)
 
     asked: Settings = ("evaluation.cube_points", "training.seeds")
-    point = _POINT + _POINT_JOINT * shape.joints * (1 + bool(shape.inputs > study.task.n_positions))
+    turned = study.task.orientation != "free"
+    point = _POINT + _POINT_JOINT * shape.joints * (_TURNED if turned else 1)
     jobs, sizes = list[Terms](), list[Terms]()
     for name, one in trained.items():
         weights = one.network.n_parameters(shape.inputs, shape.joints)
@@ -179,21 +179,20 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
         rows = min(arms * shape.points, max(_ROWS, shape.points))
         yield _step("floor", [{asked: 2e-5 * arms * shape.points}], {asked: float(_ROW * rows)})
 
-    proofs = list[Terms]()
+    proved = list[Terms]()
     for name in certified(study):
         one = methods[name]
         key = (of(name, "training.seeds"), of(name, "network.hidden"), shape.said)
         if name in plans:
             needed = proof_seconds(study, plans[name])
-            proofs += _cut(study, {key: needed}, one.training.seeds)
+            proved += _cut(study, {key: needed}, one.training.seeds)
             continue
-        own_sets = costs.sets_of(study, shape, one)
-        seconds = arms * (_TABLE_PROOF * len(own_sets) + _TABLE_CELL * sum(own_sets))
-        proofs.append({(f"methods.{name}", shape.said): seconds})
+        seconds = arms * proofs.tables_seconds(study, costs.sets_of(study, shape, one))
+        proved.append({(f"methods.{name}", shape.said): seconds})
     neurons = max(sum(one.network.hidden) for one in trained.values())
     searched: Terms = {said: 4e3 * n_max, ("network.hidden",): _NEURON * neurons**_WIDER}
-    if proofs:
-        yield _step("prove", proofs, searched)
+    if proved:
+        yield _step("prove", proved, searched)
 
     first = study.samples.design
     n_first = len(shape.sizes[first])
@@ -203,16 +202,16 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
     if study.paper:
         rows = min(study.training.seeds * shape.points, max(2**18, shape.points))
         width = ("evaluation.cube_points", "network.hidden")
-        taken: Terms = {width: 24.0 * rows * (shape.inputs + 1) * hidden}
-        each = 4e-8 * shape.points * (shape.inputs + 1) * hidden
+        taken: Terms = {width: 12.5 * rows * (shape.inputs + 1) * hidden}
+        each = shape.points * (4.5e-7 + 7.5e-9 * (shape.inputs + 1) * hidden)
         yield _step("bounds", [{(*width, by[0]): each * plans[NETWORK].networks}], taken)
         yield _step("table", [{}], {})
     weights = study.network.n_parameters(shape.inputs, shape.joints)
     snapshots = 4.0 * weights * study.training.seeds * study.training.snapshots
     kept: Terms = {("network.hidden", "training.seeds", "training.snapshots"): 2 * snapshots}
-    optimizer = study.training.optimizer
-    pictures = _MAP[optimizer] * n_first * (weights / 115) ** 0.9
-    yield _step("map", [{(*by[2:], "network.hidden"): pictures}], {**kept, said: 7e3 * n_max})
+    drawn = proofs.pictures_seconds(study, shape, methods[NETWORK], n_first)
+    pictures: Terms = {(shape.said, "training.snapshots", "network.hidden"): drawn}
+    yield _step("map", [pictures], {**kept, said: 7e3 * n_max})
     everything = n_networks + len(untrained) * arms * sum(map(len, shape.sizes.values()))
     runs = everything * (1 + len(study.evaluation.paths))
     yield _step("collect", [{by: 2e-5 * runs + 0.01 * len(methods) * n_first}], {by: 900.0 * runs})
@@ -223,7 +222,7 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
         {by: 600.0 * runs, said: 200.0 * max(n_max, 2**16)},
     )
     if study.replication.seeds:
-        yield _replication(study, shape, plans, proofs, jobs)
+        yield _replication(study, shape, plans, proved, jobs)
     history = (
         50.0 * study.training.seeds * max(costs.epochs_of(methods[NETWORK], n) for n in study.sizes)
     )
@@ -234,7 +233,7 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
         [
             {
                 by: _RUN * len(methods) * n_first,
-                ("network.hidden",): _proof(optimizer, weights, shape.inputs),
+                ("network.hidden",): proofs.network_seconds(study, shape, methods[NETWORK]),
             }
         ],
         {by: 600.0 * runs, epochs: 3 * history, ("network.hidden",): _NEURON * neurons**_WIDER},
@@ -245,16 +244,11 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
     yield _step("report", [{by: 1.0 + 1e-5 * runs}], {by: 600.0 * runs, paths: way, **kept})
 
 
-def _proof(optimizer: str, weights: int, n_inputs: int) -> float:
-    """Time to prove one network [s]."""
-    return _PROOF[optimizer] * (weights / 115) ** _WIDER * n_inputs / 3
-
-
 def _replication(
     study: Study,
     shape: Shape,
     plans: Mapping[str, MethodPlan],
-    proofs: list[Terms],
+    proved: list[Terms],
     evaluations: list[Terms],
 ) -> StepPlan:
     """The answers' networks again, on two sizes each."""
@@ -262,7 +256,7 @@ def _replication(
     share = fresh / sum(plan.networks for plan in plans.values())
     again = sum(plan.seconds for plan in plans.values()) + total(*evaluations)
     if study.tolerance.certifiable:
-        again += total(*proofs)
+        again += total(*proved)
     sizes = []
     for name in plans:
         method = study.all_methods[name]
@@ -323,6 +317,7 @@ def _readings(study: Study) -> Iterator[StepPlan]:
     ):
         each = _READING * ceil(n / 16) * number / parts
         yield _step(step, [{(count, seeds): each}] * parts, {(seeds,): 4e5 * n})
+    yield _step("rank", [{}], {})
     yield _step("page", [{}], {("readings.count",): 2000.0 * wanted.count})
 
 

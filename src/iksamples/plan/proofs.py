@@ -1,0 +1,85 @@
+"""What proofs take: worst cases and means of networks and tables, and those along a training.
+
+Searches cut the workspace into boxes until each is decided. What that takes was measured of
+networks of 16 to 256 neurons in one and two layers, of arms of two to seven joints.
+"""
+
+from collections.abc import Iterable
+
+import iksamples.plan.costs as costs
+from iksamples.plan.costs import Shape
+from iksamples.study import Method, Study
+
+
+_PROVED = 0.01
+"""What the proofs of a network take at least [s]."""
+_SEARCH = {"adam": 0.012, "levenberg-marquardt": 0.08}
+"""Worst distance of a network of 115 weights on an arm of three joints and inputs [s]."""
+_MEAN = {"adam": 0.012, "levenberg-marquardt": 0.1}
+"""And its mean, within a share of 0.025 [s]; of half that share about twice as much."""
+_STEPS, _LONGER = 4000, 0.3
+"""Of Adam; a network that is trained for longer is less smooth, with this power of the steps."""
+_WIDER_SEARCH, _WIDER_MEAN = 0.9, 2.0
+"""Powers of the weights."""
+_TURNED = 2.5
+"""Times as much where the worst angle is proved as well."""
+_PLANE_SEARCH, _PLANE_MEAN = 0.15, 0.03
+"""Times as much with two inputs."""
+_KINKED_MEAN = 20.0
+"""Times as much a mean with four inputs, where the kinks of ReLUs have to be found."""
+_MOST_INPUTS_OF_A_MEAN = 4  # as certify.step has it, which takes longer to import than a plan
+_TABLE, _CELL = 0.05, 7e-4
+"""A look-up table, and each of its cells [s]."""
+_EPOCHS = 60  # evaluation.errors.MAX_EPOCHS
+_OF_AN_EPOCH, _LESS_TIGHT = 1e-3, 0.12
+"""Worst case at an epoch of a training: at least [s], and as a share of that at its end."""
+
+
+def network_seconds(study: Study, shape: Shape, method: Method) -> float:
+    """Expected time of the proofs of one network [s]."""
+    times = _TURNED if study.task.orientation != "free" else 1
+    seconds = _PROVED + times * _search(study, shape, method)
+    if shape.inputs > _MOST_INPUTS_OF_A_MEAN:
+        return seconds
+    mean = _MEAN[method.training.optimizer] * _roughness(study, shape, method)
+    mean *= _weights(shape, method) ** _WIDER_MEAN * shape.joints / 3
+    if shape.inputs == 2:
+        mean *= _PLANE_MEAN
+    if shape.inputs == 4 and method.network.activation == "relu":
+        mean *= _KINKED_MEAN
+    return seconds + mean * 0.025 / study.bounds.mean_rtol
+
+
+def tables_seconds(study: Study, sizes: Iterable[int]) -> float:
+    """Expected time of the proofs of look-up tables of so many samples each [s]."""
+    times = _TURNED if study.task.orientation != "free" else 1
+    return times * sum(_TABLE + _CELL * n for n in sizes)
+
+
+def pictures_seconds(study: Study, shape: Shape, method: Method, n_sets: int) -> float:
+    """Expected time of what is proved of a method along its training, for pictures [s]."""
+    epochs = min(_EPOCHS, method.training.snapshots)
+    each = _OF_AN_EPOCH + _LESS_TIGHT * _search(study, shape, method)
+    return n_sets * len(study.evaluation.paths) * epochs * each
+
+
+def _search(study: Study, shape: Shape, method: Method) -> float:
+    """Of one network's worst distance [s]."""
+    seconds = _SEARCH[method.training.optimizer] * _roughness(study, shape, method)
+    seconds *= _weights(shape, method) ** _WIDER_SEARCH * shape.joints / 3
+    return seconds * (_PLANE_SEARCH if shape.inputs == 2 else 1)
+
+
+def _weights(shape: Shape, method: Method) -> float:
+    """Weights of a network as if it had as many joints as inputs, in multiples of 115."""
+    return method.network.n_parameters(shape.inputs, shape.inputs) / 115
+
+
+def _roughness(study: Study, shape: Shape, method: Method) -> float:
+    """Times as much as of a network that was trained for some steps of Adam."""
+    training = method.training
+    sizes = [training.n_trained(n) for n in costs.sets_of(study, shape, method)]
+    if training.optimizer != "adam" or not sizes:
+        return 1.0
+    steps = sum(costs.epochs_of(method, n) * training.steps_per_epoch(n) for n in sizes)
+    return float((steps / len(sizes) / _STEPS) ** _LONGER)
