@@ -4,12 +4,14 @@
     python benchmarks/scaling.py jobs
 
 Prints the tables of docs/cluster.md: processor time, since other work on the machine hardly changes
-it. One grid of 125 samples and 16 neurons; the studies for the second are generated, and their
-results are empty files that Snakemake is told are up to date.
+it. One grid of 125 samples and 16 neurons for the first. The second has studies of one grid of 8
+samples, whose results are zeros of the size that results have, with their digests, that Snakemake
+is told are up to date.
 """
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -19,8 +21,12 @@ from pathlib import Path
 
 import yaml
 
+from iksamples.files import kept_file
+
 
 ROOT = Path(__file__).parents[1]
+OF_A_SEED = 120_000
+"""What a network leaves, as the first half measures it: weights, history and errors [bytes]."""
 SNAKEMAKE = str(Path(sys.executable).with_name("snakemake"))
 
 
@@ -89,30 +95,49 @@ def size(folder: Path) -> int:
 
 def jobs(folder: Path) -> None:
     """A table of Snakemake's own cost against the number of jobs."""
-    print("| jobs | to plan them (`-n`) [s] | with nothing to be done [s] |")
-    print("|---:|---:|---:|")
-    for parts in (1, 45, 495):
+    print("| jobs | seeds | to plan them (`-n`) [s] | results [MB] | nothing to be done [s] |")
+    print("|---:|---:|---:|---:|---:|")
+    for seeds in (20, 2400, 24_750):
         study = write(
-            folder, samples={"points_per_axis": [2]}, training={"seeds": 50 * parts},
-            seeds_per_job=50,
-        )  # fmt: skip
-        shutil.rmtree(folder / "results", ignore_errors=True)
-        shutil.rmtree(folder / ".snakemake", ignore_errors=True)
+            folder, samples={"points_per_axis": [2]}, training={"seeds": seeds}, seeds_per_job=50
+        )
+        for name in ("results", "reports", ".snakemake"):
+            shutil.rmtree(folder / name, ignore_errors=True)
         typed = [SNAKEMAKE, "--cores", "2", "--configfile", study]
         plan = [spent(folder, [*typed, "-n"])[0] for _ in range(3)]
-        listed = subprocess.run(
-            [*typed, "--summary"], cwd=folder, capture_output=True, text=True, check=True
-        ).stdout.splitlines()[1:]
-        for line in listed:
-            file = folder / line.split("\t")[0]
-            if {"parts", "certificates"} & set(file.parts):
-                continue  # gone once they are joined
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.mkdir(exist_ok=True) if file.name == "figures" else file.touch()
+        n_jobs = int(re.findall(r"^total +(\d+)", said(folder, [*typed, "-n"]), re.MULTILINE)[0])
+        listed = said(folder, [*typed, "--summary"]).splitlines()[1:]
+        files = [folder / line.split("\t")[0] for line in listed]
+        # Gone once they are joined are those of the parts.
+        files = [file for file in files if not {"parts", "certificates"} & set(file.parts)]
+        for file in files:
+            if file.name == "figures":
+                file.mkdir()
+                continue
+            with kept_file(file) as unfinished, unfinished.open("wb") as empty:
+                empty.truncate(OF_A_SEED * seeds // len(files))
         spent(folder, [*typed, "--touch"])
         idle = [spent(folder, typed)[0] for _ in range(3)]
-        n_jobs = 11 + (2 * parts if parts > 1 else 0)
-        print(f"| {n_jobs} | {min(plan):.1f} | {min(idle):.1f} |", flush=True)
+        if "Nothing to be done" not in said(folder, typed):
+            raise SystemExit("there was something to be done")
+        print(
+            f"| {n_jobs} | {seeds} | {min(plan):.1f} | {size(folder / 'results') / 1e6:.0f} | "
+            f"{min(idle):.1f} |",
+            flush=True,
+        )
+
+
+def said(folder: Path, command: Sequence[str | Path]) -> str:
+    """What a command prints."""
+    return subprocess.run(
+        command,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=True,
+    ).stdout
 
 
 if __name__ == "__main__":
