@@ -239,6 +239,14 @@ def test_sizing_a_recording_is_refused_where_its_orders_would_take_too_much(tmp_
     assert "--subsets" in remedy
 
 
+def test_no_more_poses_are_proposed_than_there_are_places_for(tmp_path):
+    """Before any network is trained."""
+    asked = ["--samples", str(tmp_path / "none.csv"), "-o", str(tmp_path / "next.csv")]
+    said = CliRunner().invoke(app, ["next", "config/config.yaml", *asked, "--count", "1000000000"])
+    assert said.exit_code == 2
+    assert "--count" in said.output
+
+
 @pytest.mark.slow
 def test_snakemake_refuses_before_it_makes_anything(tmp_path):
     study = tmp_path / "huge.json"

@@ -76,6 +76,7 @@ def next_(
             "--count",
             "-k",
             min=1,
+            max=1000,
             help="How many poses; by default 10 for a network, and for a calibration the fewest "
             "that are expected to be enough.",
         ),
