@@ -172,10 +172,10 @@ def answer_seconds(kind: str, n: int, joints: int) -> float:
     return 2e-6 if KINDS[kind].needs_grid else 4e-6 * joints
 
 
-def kernel_bytes(kind: str, n: int, arms: int) -> float:
-    """Memory of such a method: the fit of every arm, and its work on 8192 points."""
+def kernel_bytes(kind: str, n: int, arms: int, points: float = 8192) -> float:
+    """Memory of such a method: the fit of every arm, and its work on points at once."""
     if kind in ("rbf", "gaussian-process", "residual") and n <= MOST_SAMPLES:
-        return 8.0 * n**2 * (max(1, arms) + 2) + 8.0 * 8192 * n * 5
+        return 8.0 * n**2 * (max(1, arms) + 2) + 8.0 * points * n * 5
     return 500.0 * n
 
 

@@ -293,7 +293,7 @@ def _recorded(study: Study) -> Iterator[StepPlan]:
                 taken += costs.FIT + costs.fit_seconds(one, engine, weights, n, orders)
         work[key] = work.get(key, 0.0) + taken
         if KINDS[one.kind].fit:
-            sizes.append({key[:2]: costs.kernel_bytes(one.kind, study.sizes[-1], 1)})
+            sizes.append({key[:2]: costs.kernel_bytes(one.kind, study.sizes[-1], 1, held)})
         else:
             training = one.training.model_copy(update={"seeds": orders, "snapshots": 2})
             alike = one.model_copy(update={"training": training})
