@@ -109,6 +109,7 @@ def test_a_joint_without_limits_is_fine_until_a_study_needs_them(tmp_path):
         (ORDINARY, "<a>" * 100_000, "deep"),
         (ORDINARY, "solid arm", "not a valid URDF .line 1"),
         (LAST, "", "not a valid URDF .line 12"),
+        (ORDINARY, XML % "none" + ORDINARY, "not a valid URDF .line 1: unknown encoding"),
         (ORDINARY, "<sdf/>", "<sdf>"),
         (ORDINARY, "<robot><xacro:arm/></robot>", "expand the xacro"),
         (ORDINARY, "<robot/>", "no links"),

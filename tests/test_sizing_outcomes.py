@@ -176,6 +176,18 @@ def test_the_table_survives_its_file(results):
         read_runs(results)
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("seed", 0.5), ("n_points", np.inf), ("region_share", np.nan), ("region_share", 1.5),
+     ("failed", None)],
+)  # fmt: skip
+def test_rows_that_are_no_runs_are_not_read(results, column, value):
+    certify(results)
+    collect(make_study(), results).assign(**{column: value}).to_parquet(results / "runs.parquet")
+    with pytest.raises(IksamplesError, match="not as it was written"):
+        read_runs(results)
+
+
 def test_bounds_stand_beside_the_workspace_alone(results):
     certify(results)
     bounded = collect(make_study(), results).dropna(subset="sup_upper_mm")

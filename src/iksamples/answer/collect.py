@@ -117,13 +117,16 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     kinds |= dict.fromkeys(_NAMES, types.is_string_dtype)
     kinds["verified"] = types.is_bool_dtype
     sound = len(table) > 0 and all(is_kind(table[name]) for name, is_kind in kinds.items())
-    sound = sound and not table[_RUN].isna().any(axis=None) and not table.duplicated(_RUN).any()
+    sound = sound and not table[[*_RUN, *_NAMES]].isna().any(axis=None)
+    sound = sound and not table.duplicated(_RUN).any()
     if sound:
         counts = table[["n_samples", "n_trained", "seed", "n_points"]].to_numpy(float)
-        sound = bool((counts == np.round(counts)).all())
+        share = table["region_share"]
+        whole = (np.abs(counts) < 2**53) & (counts == np.round(counts))
+        sound = bool(whole.all()) and bool(((share > 0) & (share <= 1)).all())
     if not sound:
         raise IksamplesError(f"{file}: not as it was written. Run the study again.")
-    return table
+    return table.astype({"seed": "int64"})
 
 
 def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:

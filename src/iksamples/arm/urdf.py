@@ -117,7 +117,7 @@ def _parse(content: bytes) -> _Element:
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(content.lstrip(), True)
-    except (expat.ExpatError, ValueError) as error:
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the last: its encoding
         line = content[: len(content) - len(content.lstrip())].count(b"\n") + parser.ErrorLineNumber
         reason = expat.ErrorString(parser.ErrorCode) if parser.ErrorCode else error
         raise IksamplesError(f"not a valid URDF (line {line}: {reason}).") from None
