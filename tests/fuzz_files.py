@@ -19,7 +19,7 @@ from onnx import TensorProto, helper, numpy_helper
 from safetensors.numpy import save as safetensors_of
 from test_arm_files import ORDINARY
 
-from iksamples.network import StackedMLP
+from iksamples.network import StackedMLP, write_tensors
 from iksamples.study import parse_study
 
 
@@ -213,6 +213,9 @@ def checkpoints() -> st.SearchStrategy[bytes]:
     )
 
 
+SHAPES = {"weight": (3, 3), "bias": (3,)}
+
+
 def safetensors_files() -> st.SearchStrategy[bytes]:
     arrays = {name: value.numpy() for name, value in state_dict().items()}
     with tempfile.TemporaryDirectory() as folder:
@@ -223,7 +226,11 @@ def safetensors_files() -> st.SearchStrategy[bytes]:
         )  # fmt: skip
         stack.save(path)
         ours = path.read_bytes()
-    wholes = [safetensors_of(arrays), safetensors_of(arrays, {"format": "pt"}), ours]
+        over = {f"layers.0.{k}": np.ones((4, 2, *n)) for k, n in SHAPES.items()}
+        more = {"epochs": np.arange(4), "offset": np.zeros(3), "scale": np.ones(3)}
+        write_tensors(path, over | more, {"activation": "tanh", "seeds": [0, 1]})
+        snapshots = path.read_bytes()
+    wholes = [safetensors_of(arrays), safetensors_of(arrays, {"format": "pt"}), ours, snapshots]
 
     made = []
     for whole in wholes:

@@ -6,7 +6,11 @@ import stat
 import subprocess
 import sys
 
+import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from iksamples.errors import IksamplesError
 from iksamples.files import (
@@ -15,6 +19,8 @@ from iksamples.files import (
     is_intact,
     kept_file,
     put_aside,
+    stored_object,
+    stored_table,
     whole_file,
     write_digest,
 )
@@ -144,6 +150,42 @@ def test_a_message_fits_the_screen_and_steers_no_terminal():
     assert first == "a [2J é"
     assert second.startswith("bxxx")
     assert len(second) < 1100
+
+
+@pytest.mark.parametrize(
+    ("said", "about"),
+    [
+        ({"failed": [None, ""]}, "column failed"),
+        ({"failed": [1.0, 2.0]}, "column failed"),
+        ({"verified": [0.0, 1.0]}, "column verified"),
+        ({"seed": [0.5, 1.0]}, "column seed"),
+        ({"error_mm": ["1", "2"]}, "column error_mm"),
+        ({"error_mm": np.ones(2, np.float16)}, "column error_mm"),
+        ({"seed": [3, 3]}, "two rows of one seed"),
+    ],
+)
+def test_columns_hold_what_their_names_say(tmp_path, said, about):
+    columns = {"seed": [0, 1], "error_mm": [1.0, np.nan], "failed": "", "verified": True}
+    pd.DataFrame(columns).to_parquet(tmp_path / "t.parquet")
+    assert len(stored_table(tmp_path / "t.parquet", ("error_mm",), ("seed",))) == 2
+    pd.DataFrame(columns | said).to_parquet(tmp_path / "t.parquet")
+    with pytest.raises(IksamplesError, match=rf"t\.parquet: not as it was written .{about}"):
+        stored_table(tmp_path / "t.parquet", key=("seed",))
+
+
+def test_words_that_are_no_utf8_are_not_read(tmp_path):
+    parquet.write_table(pa.table({"label": pa.array([b"a\xff"]).view(pa.string())}), tmp_path / "t")
+    with pytest.raises(IksamplesError, match=r"cannot be read .*UTF8"):
+        stored_table(tmp_path / "t")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '{"head": 1}', "[" * 99_999])
+def test_an_object_of_results_is_one(tmp_path, text):
+    (tmp_path / "t.json").write_text('{"head": "a"}')
+    assert stored_object(tmp_path / "t.json", {"head": str}) == {"head": "a"}
+    (tmp_path / "t.json").write_text(text)
+    with pytest.raises(IksamplesError, match=r"t\.json: .*Run the study again"):
+        stored_object(tmp_path / "t.json", {"head": str})
 
 
 ON_A_FULL_DISK = {

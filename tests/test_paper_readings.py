@@ -23,6 +23,7 @@ from iksamples.paper.readings import (
     draw_readings,
     path_errors,
     rank,
+    read_parts,
 )
 from iksamples.study import Readings, parse_study, read_study
 
@@ -283,3 +284,9 @@ def test_what_is_the_papers_runs_for_its_studies_alone(
     rules = {line.split()[0] for line in run.stdout.splitlines() if line.strip()}
     assert planned <= rules
     assert not not_planned & rules
+
+
+def test_parts_without_any_reading_are_refused(tmp_path) -> None:
+    pd.DataFrame(columns=[*QUESTIONS, *ROWS]).to_csv(tmp_path / "part.csv", index=False)
+    with pytest.raises(IksamplesError, match=r"part\.csv: no readings"):
+        read_parts([tmp_path / "part.csv"])

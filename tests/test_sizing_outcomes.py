@@ -89,22 +89,26 @@ def constant_network(joints, seeds=SEEDS):
     )
 
 
-@pytest.fixture
-def results(tmp_path):
+def write_results(folder):
     """A finished study: the network at 10 and 5 mm and more, cubic at 1 mm on the larger grid."""
     study = make_study()
-    (tmp_path / "samples").mkdir()
+    (folder / "samples").mkdir()
     for m in (2, 3):
         record_samples(study, study_task(study), "grid", m**3).save(
-            tmp_path / "samples" / f"grid{m}.parquet"
+            folder / "samples" / f"grid{m}.parquet"
         )
     for label, error in (("grid2", 10.0), ("grid3", 5.0)):
-        cell = Cell(tmp_path, "network", label)
+        cell = Cell(folder, "network", label)
         write_cell(cell, error)
         constant_network([0, 0, 0]).save(cell.folder / "weights.safetensors")
-    write_cell(Cell(tmp_path, "cubic", "grid3"), 1.0, n=1)
-    write_cell(Cell(tmp_path, "cubic", "grid2"), 1.0, n=0)  # too few points for the spline
-    certify(tmp_path, seeds=[])
+    write_cell(Cell(folder, "cubic", "grid3"), 1.0, n=1)
+    write_cell(Cell(folder, "cubic", "grid2"), 1.0, n=0)  # too few points for the spline
+    certify(folder, seeds=[])
+
+
+@pytest.fixture
+def results(tmp_path):
+    write_results(tmp_path)
     return tmp_path
 
 

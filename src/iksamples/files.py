@@ -6,9 +6,10 @@ hand may change it later; numbers read from such a file would be wrong without a
 
 import errno
 import hashlib
+import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,23 +123,42 @@ def read_bytes(path: str | Path, most: int, what: str) -> bytes:
     return content
 
 
-def stored_table(path: str | Path, needed: Sequence[str] = (), **how: Any) -> "pd.DataFrame":
+TEXTS = {
+    *("claim", "design", "evidence", "failed", "label", "method", "path", "region", "slice"),
+    *("status", "verdict", "where"),
+}
+TRUTHS = {"certified", "complete", "diverged", "pen_up", "verified"}
+COUNTS = {"epoch", "n_points", "n_trained", "point", "seed", "waypoint"}
+"""Columns of tables of results that hold words, true or false, and whole numbers; others: numbers.
+"""
+
+
+def stored_table(
+    path: str | Path, needed: Sequence[str] = (), key: Sequence[str] = (), **how: Any
+) -> "pd.DataFrame":
     """A table of results: CSV where its name says so, else Parquet.
 
     Args:
         path: The file.
         needed: Columns that have to be there.
-        **how: What else pandas needs to know.
+        key: Columns of which no two rows have the same.
+        **how: What else its reader needs to know. With ``dtype`` its columns are as that says, else
+            as ``TEXTS``, ``TRUTHS`` and ``COUNTS`` say.
 
     Raises:
         IksamplesError: There is none, or it is damaged, no such table, or of another version.
     """
     import pandas as pd
+    from pyarrow import parquet
 
     path = checked(path)
-    read = pd.read_csv if path.suffix == ".csv" else pd.read_parquet
     try:
-        table: pd.DataFrame = read(path, **how)
+        if path.suffix == ".csv":
+            table: pd.DataFrame = pd.read_csv(path, **how)
+        else:
+            whole = parquet.read_table(path, **how)
+            whole.validate(full=True)  # words that are no UTF-8, which would end a later step
+            table = whole.to_pandas()
     except FileNotFoundError:
         raise IksamplesError(
             f"{path}: there is no such file. Either the name is wrong, or the study is not "
@@ -149,13 +169,60 @@ def stored_table(path: str | Path, needed: Sequence[str] = (), **how: Any) -> "p
         raise IksamplesError(
             f"{path}: cannot be read ({in_a_line(error)}). Run the study again."
         ) from None
-    missing = [name for name in needed if name not in table.columns]
+    missing = [name for name in (*needed, *key) if name not in table.columns]
     if missing:
         raise IksamplesError(
             f"{path}: no column {', '.join(missing)}; it is from another version. Run the study "
             "again."
         )
+    strange = [] if "dtype" in how or table.empty else _strange_columns(table)
+    if strange or (key and table.duplicated(list(key)).any()):
+        where = f"column {strange[0]}" if strange else f"two rows of one {', '.join(key)}"
+        raise IksamplesError(f"{path}: not as it was written ({where}). Run the study again.")
     return table
+
+
+def _strange_columns(table: "pd.DataFrame") -> list[str]:
+    """Names of the columns that do not hold what their names say, or that stand there twice."""
+    from pandas.api import types
+
+    strange = list(table.columns[table.columns.duplicated()])
+    if strange:
+        return strange
+    for name, column in table.items():
+        if name in TEXTS:
+            sound = types.is_string_dtype(column) and not column.isna().any()
+        elif name in TRUTHS:
+            sound = types.is_bool_dtype(column)
+        else:
+            sound = types.is_numeric_dtype(column) and column.dtype != "float16"
+            sound = sound and (name not in COUNTS or bool((column % 1 == 0).all()))
+        if not sound:
+            strange.append(str(name))
+    return strange
+
+
+def stored_object(path: Path, kinds: Mapping[str, type]) -> dict[str, Any]:
+    """What a JSON file of results says.
+
+    Args:
+        path: The file.
+        kinds: What has to be in it, and of which type.
+
+    Raises:
+        IksamplesError: It is missing, damaged, or says something else.
+    """
+    try:
+        found = json.loads(checked(path).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise IksamplesError(
+            f"{path}: cannot be read ({in_a_line(error)}). Run the study again."
+        ) from None
+    if not isinstance(found, dict) or not all(
+        isinstance(found.get(name), kind) for name, kind in kinds.items()
+    ):
+        raise IksamplesError(f"{path}: not as it was written. Run the study again.")
+    return found
 
 
 def is_intact(path: Path) -> bool:

@@ -119,13 +119,17 @@ class StackedMLP:
                 tensors["scale"],
                 tuple(header["seeds"]),
             )
-            network._require_sound()
+            network.require_sound()
         except (KeyError, TypeError, ValueError):
             raise IksamplesError(f"{path}: not a file of trained networks.") from None
         return network
 
-    def _require_sound(self) -> None:
-        """Stops where the arrays do not fit together."""
+    def require_sound(self) -> None:
+        """Stops where the arrays do not fit together.
+
+        Raises:
+            ValueError: They do not.
+        """
         widths = [len(self.offset), *(bias.shape[-1] for bias in self.biases)]
         shapes = [(self.n_seeds, *ends) for ends in pairwise(widths)]
         sound = (

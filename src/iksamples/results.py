@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from iksamples.columns import ERRORS
 from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
@@ -16,6 +17,17 @@ from iksamples.study import NETWORK, Design, Study
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_COLUMNS: dict[str, tuple[Sequence[str], Sequence[str]]] = {
+    "bounds": (["seed"], ()),
+    "errors": (["region", "seed"], tuple(ERRORS)),
+    "history": (["seed", "epoch"], ("train_loss",)),
+    "members": (["seed"], ("n_trained", "diverged")),
+    "training_bound": (["seed", "epoch"], ("sup_lower_mm", "sup_upper_mm", "training_max_mm")),
+    "waypoints": (["path", "waypoint", "seed"], ("pen_up", "error_mm")),
+}
+"""Of tables: the columns that tell their rows apart, and others that are read of them."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +64,10 @@ class Cell:
         """The trained networks of all seeds."""
         return StackedMLP.load(self.folder / "weights.safetensors")
 
-    def table(self, name: str, needed: Sequence[str] = ()) -> "pd.DataFrame":
+    def table(self, name: str) -> "pd.DataFrame":
         """One of the cell's tables: history, members, waypoints, errors, cube or bounds."""
-        return stored_table(self.folder / f"{name}.parquet", needed)
+        key, others = _COLUMNS.get(name, ((), ()))
+        return stored_table(self.folder / f"{name}.parquet", others, key)
 
     @cached_property
     def sound_errors(self) -> "pd.DataFrame":

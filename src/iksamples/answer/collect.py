@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from pandas.api import types
 
 from iksamples.arm.chain import Floats
 from iksamples.columns import ANGLES, ERRORS, RUNS
@@ -30,7 +29,6 @@ WORKSPACE = "workspace"
 """The region that is the whole workspace; every other region is a path, by its name."""
 
 _KEYS = ["method", "label", "seed"]
-_NAMES = ("method", "design", "label", "region", "failed")
 _RUN = ["method", "design", "n_samples", "seed", "region"]
 _SUP = ["sup_lower_mm", "sup_upper_mm", "angle_lower_deg", "angle_upper_deg"]
 _MEAN = ["mean_lower_mm", "mean_upper_mm"]
@@ -112,21 +110,13 @@ def read_runs(results: str | Path) -> pd.DataFrame:
         IksamplesError: There is no such file, it is of another version, or a row is no run.
     """
     file = Path(results) / FILE
-    table = stored_table(file, tuple(RUNS))
-    kinds = dict.fromkeys(RUNS, types.is_numeric_dtype)
-    kinds |= dict.fromkeys(_NAMES, types.is_string_dtype)
-    kinds["verified"] = types.is_bool_dtype
-    sound = len(table) > 0 and all(is_kind(table[name]) for name, is_kind in kinds.items())
-    sound = sound and not table[[*_RUN, *_NAMES]].isna().any(axis=None)
-    sound = sound and not table.duplicated(_RUN).any()
-    if sound:
-        counts = table[["n_samples", "n_trained", "seed", "n_points"]].to_numpy(float)
-        share = table["region_share"]
-        whole = (np.abs(counts) < 2**53) & (counts == np.round(counts))
-        sound = bool(whole.all()) and bool(((share > 0) & (share <= 1)).all())
+    table = stored_table(file, tuple(RUNS), _RUN)
+    n_samples, share = table["n_samples"], table["region_share"]
+    whole = (n_samples >= 0) & (n_samples % 1 == 0)
+    sound = len(table) > 0 and whole.all() and ((share > 0) & (share <= 1)).all()
     if not sound:
         raise IksamplesError(f"{file}: not as it was written. Run the study again.")
-    return table.astype({"seed": "int64"})
+    return table
 
 
 def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
@@ -138,7 +128,7 @@ def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
 def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
     trained = cell.method in networks(study)
-    errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
+    errors = cell.table("errors").reset_index(drop=True)
     finite = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
     failed = np.where(finite, "", _NO_ANSWER)
     if "failed" in errors:
@@ -147,6 +137,10 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     n_samples = n_trained = samples.n_samples if learns else 0
     if trained:
         members = cell.table("members").set_index("seed")
+        if members.empty or not errors["seed"].isin(members.index).all():
+            raise IksamplesError(
+                f"{cell.folder}: its errors are not of its networks. Run the study again."
+            )
         n_trained = int(members["n_trained"].iloc[0])
         failed = np.where(errors["seed"].map(members["diverged"]), _DIVERGED, failed)
     rows = pd.DataFrame(

@@ -262,7 +262,7 @@ def table(study_file: StudyFile, results: Results) -> None:
     from iksamples.results import cells
 
     study, task = open_study(study_file)
-    proofs = stored_table(results / "certificates.csv")
+    proofs = stored_table(results / "certificates.csv", key=("method", "label", "seed"))
     tables = {
         "table.csv": study_table(study, cells(study, results), proofs),
         "claims.csv": claims_table(study, task, results, proofs),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from iksamples.arm.chain import Floats
 from iksamples.arm.inverse import followed
 from iksamples.arm.real import Arm, RealArm
+from iksamples.errors import IksamplesError
 from iksamples.evaluation.paths import count_waypoints, waypoints
 from iksamples.methods.predictor import (
     Predictor,
@@ -269,20 +270,31 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
     Returns:
         The epochs, at most 60 of them with the first and the last, shape (epochs,), and a stack
         with one network per epoch.
+
+    Raises:
+        IksamplesError: The file cannot be read, or holds no such networks.
     """
     tensors, header = read_tensors(path)
-    row = header["seeds"].index(seed)
-    epochs = tensors["epochs"].astype(np.int64)
-    kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
-    weights, biases = (tuple(array[:, row][kept] for array in part) for part in layers_of(tensors))
-    stack = StackedMLP(
-        weights,
-        biases,
-        header["activation"],
-        tensors["offset"],
-        tensors["scale"],
-        (seed,) * len(kept),
-    )
+    try:
+        row = header["seeds"].index(seed)
+        epochs = tensors["epochs"].astype(np.int64)
+        kept = np.unique(np.linspace(0, len(epochs) - 1, MAX_EPOCHS).round().astype(int))
+        weights, biases = (
+            tuple(array[:, row][kept] for array in part) for part in layers_of(tensors)
+        )
+        stack = StackedMLP(
+            weights,
+            biases,
+            header["activation"],
+            tensors["offset"],
+            tensors["scale"],
+            (seed,) * len(kept),
+        )
+        stack.require_sound()
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        raise IksamplesError(
+            f"{path}: not the networks over the epochs. Run the study again."
+        ) from None
     return epochs[kept], stack
 
 

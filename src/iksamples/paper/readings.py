@@ -251,7 +251,10 @@ def read_parts(files: Sequence[Path]) -> pd.DataFrame:
         if (table["error_mean_mm"] <= 0).any():
             raise IksamplesError(f"{file}: an error that is not above zero.")
         tables.append(table)
-    return pd.concat(tables, ignore_index=True)
+    whole = pd.concat(tables, ignore_index=True)
+    if whole.empty:
+        raise IksamplesError(f"{files[0]}: no readings. Name all parts of the search.")
+    return whole
 
 
 def train_readings(readings: Sequence[Reading], n_seeds: int, first_seed: int = 0) -> pd.DataFrame:

@@ -13,9 +13,9 @@ from iksamples.answer.answer import Answer, read_answer
 from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, in_a_line
 from iksamples.evaluation.errors import median_seed
-from iksamples.files import stored_table
+from iksamples.files import stored_object, stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.study import NETWORK, Study
@@ -165,7 +165,7 @@ class ReportData:
     def tracking(self) -> dict[str, Any]:
         """Where the runs were logged; empty where they were not."""
         file = self.results / "tracking.json"
-        return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        return stored_object(file, {"tracking_uri": str}) if file.exists() else {}
 
 
 def read_report_data(study: Study, results: Path, command: str) -> ReportData:
@@ -199,12 +199,21 @@ def read_benchmarks(folder: Path) -> pd.DataFrame:
     Returns:
         One row per job: step, s, cpu_s, max_rss_mb (NaN where a job was over before Snakemake
         looked).
+
+    Raises:
+        IksamplesError: A file holds something else.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for file in sorted(folder.rglob("*.jsonl")):
         step = file.relative_to(folder).parts[0].removesuffix(".jsonl").replace("_", " ")
-        for line in filter(str.strip, file.read_text(encoding="utf-8").splitlines()):
-            rows.append({"step": step} | json.loads(line))
+        try:
+            lines = file.read_text(encoding="utf-8").splitlines()
+            found = [json.loads(line, parse_int=float) for line in lines if line.strip()]
+            rows += [{"step": step, **one} for one in found]
+        except (ValueError, TypeError, RecursionError) as error:
+            raise IksamplesError(
+                f"{file}: not what Snakemake measured ({in_a_line(error)}). Delete it."
+            ) from None
     table = pd.DataFrame(rows, columns=["step", "s", "cpu_time", "max_rss"])
     table.columns = pd.Index(["step", "s", "cpu_s", "max_rss_mb"])
     numbers = ["s", "cpu_s", "max_rss_mb"]

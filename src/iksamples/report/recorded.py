@@ -1,13 +1,12 @@
 """The page of a recorded study: how many records a method needs, and which of them are odd."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from iksamples.files import checked, stored_table
+from iksamples.files import stored_object, stored_table
 from iksamples.recorded.learn import ABOUT, JUDGED
 from iksamples.report import answers, figures, markdown, run
 from iksamples.report.data import ReportData, read_report_data
@@ -40,7 +39,9 @@ def write_recorded(
     values: dict[str, Any] = {
         "data": data,
         "title": title,
-        "about": json.loads(checked(data.results / ABOUT).read_text(encoding="utf-8")),
+        "about": stored_object(
+            data.results / ABOUT, {"head": str, "doubts": list, "left_out": dict}
+        ),
         "answer": answers.answer(data),
         "recorded": study.samples.recorded,
         "curve": _curve(data),

@@ -211,12 +211,13 @@ class SampleSet:
         """
         from pyarrow import parquet
 
+        path = checked(path)
         try:
-            table = parquet.read_table(checked(path))
+            table = parquet.read_table(path)
             header = json.loads(table.schema.metadata[b"iksamples"])
             found = cls._of(table, header)
             digest = found.digest()
-        except (FileNotFoundError, IksamplesError):
+        except FileNotFoundError:
             raise
         # Whatever a damaged file raises in pyarrow, in JSON and where its parts do not fit.
         except Exception as error:
