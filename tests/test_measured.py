@@ -48,6 +48,7 @@ FORMS = {
     "as documented": text,
     "semicolons": lambda t: text(t, sep=";"),
     "tabs": lambda t: text(t, sep="\t"),
+    "a sign of control behind a number": lambda t: text(t)[:-1] + "\x1f\n",
     "bars": lambda t: text(t, sep="|"),
     "spaces": lambda t: text(t, sep=" "),
     "aligned": lambda t: t.to_string(index=False, float_format="%.17g") + "\n",

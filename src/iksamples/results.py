@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from iksamples.columns import ERRORS
 from iksamples.files import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
@@ -19,15 +18,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_COLUMNS: dict[str, tuple[Sequence[str], Sequence[str]]] = {
-    "bounds": (["seed"], ()),
-    "errors": (["region", "seed"], tuple(ERRORS)),
-    "history": (["seed", "epoch"], ("train_loss",)),
-    "members": (["seed"], ("n_trained", "diverged")),
-    "training_bound": (["seed", "epoch"], ("sup_lower_mm", "sup_upper_mm", "training_max_mm")),
-    "waypoints": (["path", "waypoint", "seed"], ("pen_up", "error_mm")),
+_KEYS: dict[str, Sequence[str]] = {
+    "bounds": ["seed"],
+    "errors": ["region", "seed"],
+    "history": ["seed", "epoch"],
+    "members": ["seed"],
+    "training_bound": ["seed", "epoch"],
+    "waypoints": ["path", "waypoint", "seed"],
 }
-"""Of tables: the columns that tell their rows apart, and others that are read of them."""
+"""The columns that tell the rows of a table apart."""
 
 
 @dataclass(frozen=True)
@@ -64,18 +63,17 @@ class Cell:
         """The trained networks of all seeds."""
         return StackedMLP.load(self.folder / "weights.safetensors")
 
-    def table(self, name: str) -> "pd.DataFrame":
+    def table(self, name: str, needed: Sequence[str] = ()) -> "pd.DataFrame":
         """One of the cell's tables: history, members, waypoints, errors, cube or bounds."""
-        key, others = _COLUMNS.get(name, ((), ()))
-        return stored_table(self.folder / f"{name}.parquet", others, key)
+        return stored_table(self.folder / f"{name}.parquet", needed, _KEYS.get(name, ()))
 
     @cached_property
     def sound_errors(self) -> "pd.DataFrame":
         """The errors, without those of networks that diverged."""
-        errors = self.table("errors")
+        errors = self.table("errors", ("error_mean_mm",))
         if not (self.folder / "members.parquet").exists():
             return errors  # not trained
-        members = self.table("members")
+        members = self.table("members", ("diverged",))
         diverged = members.loc[members["diverged"].astype(bool), "seed"]
         return errors[~errors["seed"].isin(diverged)]
 

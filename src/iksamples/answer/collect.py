@@ -128,7 +128,7 @@ def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
 def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
     trained = cell.method in networks(study)
-    errors = cell.table("errors").reset_index(drop=True)
+    errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
     finite = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
     failed = np.where(finite, "", _NO_ANSWER)
     if "failed" in errors:
@@ -136,7 +136,7 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     learns = KINDS[study.all_methods[cell.method].kind].needs_samples
     n_samples = n_trained = samples.n_samples if learns else 0
     if trained:
-        members = cell.table("members").set_index("seed")
+        members = cell.table("members", ("n_trained", "diverged")).set_index("seed")
         if members.empty or not errors["seed"].isin(members.index).all():
             raise IksamplesError(
                 f"{cell.folder}: its errors are not of its networks. Run the study again."

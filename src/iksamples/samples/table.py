@@ -187,7 +187,8 @@ def _is_numbers(cells: Sequence[str]) -> bool:
 
 def _plain(cell: object) -> float:
     if isinstance(cell, str):
-        return float(cell) if _NUMBER.fullmatch(cell.strip()) else np.nan
+        cell = cell.strip()  # more than float() takes off
+        return float(cell) if _NUMBER.fullmatch(cell) else np.nan
     return float(cell) if isinstance(cell, int | float) and not isinstance(cell, bool) else np.nan
 
 
