@@ -84,8 +84,9 @@ class CsvPath(Section):
 
     shape: Literal["csv"] = Field(description="Kind of path.")
     file: str = Field(
-        description="CSV file with a column for each input, units in its header (x_mm, x_m, "
-        "yaw_rad, yaw_deg), and optionally pen_up: 1 where the pen is lifted on the way there."
+        description="CSV file with a column for each input, units in its header or in a row below "
+        "it (x_mm, x_m, yaw_rad, yaw_deg), and optionally pen_up: 1 where the pen is lifted on the "
+        "way there."
     )
 
 
