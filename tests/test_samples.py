@@ -61,6 +61,13 @@ def test_saved_samples_come_back_the_same(study, task, tmp_path):
             np.testing.assert_array_equal(getattr(again, name), value)
 
 
+def test_the_digest_tells_what_joint_values_are_divided_by(study, task, monkeypatch):
+    samples = grid_samples(study, task, 2)
+    before, scale = samples.digest(), 2 * samples.output_scale
+    monkeypatch.setattr(SampleSet, "output_scale", scale)
+    assert samples.digest() != before
+
+
 def test_fresh_points_are_counted_and_off_the_grid(study, task, chain):
     counts = {m: len(grid_samples(study, task, m).validation_x) for m in (2, 5, 8)}
     assert counts == {2: 16, 5: 16, 8: 26}  # at least 16, else 5 % of n rounded up

@@ -158,7 +158,8 @@ class SampleSet:
         """
         content = hashlib.sha256()
         first = (self.arm_joints[:1],) if self.arms else ()
-        for array in (*self._inputs(), *self._answers(), self.offset, self.scale, *first):
+        scales = (self.offset, self.scale, self.output_scale)
+        for array in (*self._inputs(), *self._answers(), *scales, *first):
             content.update(str(array.shape).encode())
             content.update(np.ascontiguousarray(array, float).tobytes())
         content.update("".join(self.joint_space.units).encode())
