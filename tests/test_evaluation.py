@@ -7,10 +7,11 @@ from certificate_cases import plain_answer, plain_tip, random_network, turned_aw
 
 from iksamples.cli.common import write_tables
 from iksamples.errors import IksamplesError
+from iksamples.evaluation import errors
 from iksamples.evaluation.errors import cube_errors, evaluate, send, summarise, track_paths
 from iksamples.evaluation.paths import count_waypoints, require_reachable, waypoints
 from iksamples.evaluation.slices import error_slices
-from iksamples.methods.predictor import in_parts
+from iksamples.methods.predictor import Single, Stacked, in_parts
 from iksamples.network import StackedMLP
 from iksamples.paper.equations import audit
 from iksamples.samples.record import grid_samples, region_points
@@ -46,6 +47,29 @@ def in_plane():
             }
         )
     )
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("Singular"), ZeroDivisionError("by 0")])
+def test_an_arm_whose_method_cannot_be_asked_fails_and_others_do_not(monkeypatch, error):
+    methods = {"table": {"kind": "multilinear"}}
+    study = parse_study({"name": "x", "evaluation": {"cube_points": 64}, "methods": methods})
+    task = study_task(study)
+
+    def fails(x):
+        raise error
+
+    def sound(x):
+        return np.zeros((len(x), 3))
+
+    monkeypatch.setattr(
+        errors, "fit_each", lambda *_: Stacked([Single(sound), Single(fails)], (3, 4))
+    )
+    [*tables] = evaluate(study, task, grid_samples(study, task, 2), "table", None)
+    found = pd.concat(one["errors"] for one in tables).set_index("seed")
+    assert (found.loc[3, "failed"] == "").all()
+    assert found.loc[4, "failed"].str.fullmatch(f"multilinear on grid2: {error}.").all()
+    assert np.isfinite(found.loc[3, "error_max_mm"]).all()
+    assert np.isinf(found.loc[4, "error_max_mm"]).all()
 
 
 def test_slices_of_many_inputs_go_through_the_worst_point(rng):

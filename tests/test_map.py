@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.chain import SerialChain
-from iksamples.certify.step import MAX_BOXES, map_cell, merge_boxes, shown_seeds
+from iksamples.certify import step
+from iksamples.certify.step import (
+    MAX_BOXES,
+    certify_networks,
+    map_cell,
+    merge_boxes,
+    shown_seeds,
+)
 from iksamples.evaluation.errors import cube_errors, summarise, track_paths
 from iksamples.network import StackedMLP, write_tensors
 from iksamples.results import Cell, cells
@@ -141,6 +148,36 @@ def test_diverged_seeds_are_not_shown(small: Study, chain: SerialChain, cell: Ce
     assert first not in shown_seeds(small, cell)
     members.assign(diverged=True).to_parquet(cell.folder / "members.parquet")
     assert all(table.empty for table in map_cell(small, study_task(small), cell).values())
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("Singular"), OverflowError("too large")])
+def test_numbers_that_defeat_a_proof_leave_the_others(
+    small: Study, cell: Cell, monkeypatch: pytest.MonkeyPatch, capsys, error: Exception
+) -> None:
+    task, shown = study_task(small), shown_seeds(small, cell)
+    search, cover = step.checked, step.certify_coverage
+
+    def fails_on(prove, seed):
+        def proves(network, *rest, **how):
+            if seed in network.seeds:
+                raise error
+            return prove(network, *rest, **how)
+
+        return proves
+
+    whole = certify_networks(small, task, "network", cell.samples, cell.network)
+    monkeypatch.setattr(step, "checked", fails_on(search, SEEDS[1]))
+    table = certify_networks(small, task, "network", cell.samples, cell.network)
+    assert list(table["seed"]) == list(SEEDS)
+    assert list(table["verified"]) == [True, False, True]
+    assert np.isnan(table.loc[1, "sup_upper_mm"])
+    bounds = ["sup_lower_mm", "sup_upper_mm"]  # alone a search may end a little sooner or later
+    np.testing.assert_allclose(table.loc[[0, 2], bounds], whole.loc[[0, 2], bounds], rtol=0.02)
+    assert f"network on grid4, seed {SEEDS[1]}: no proof (" in capsys.readouterr().err
+    monkeypatch.setattr(step, "certify_coverage", fails_on(cover, shown[0]))
+    tables = map_cell(small, task, cell)
+    assert tables["unsafe"].empty
+    assert set(tables["training_bound"]["seed"]) == set(shown)
 
 
 @settings(max_examples=50, deadline=None)

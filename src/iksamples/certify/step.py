@@ -5,7 +5,9 @@ error is the median over the seeds. Of these few is proved, too, where the error
 how the worst case fell along the training.
 """
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ from iksamples.columns import certificate_columns
 from iksamples.evaluation.errors import median_seed, networks_over_epochs
 from iksamples.files import stored_table
 from iksamples.methods.grid import tensor_grid
-from iksamples.methods.predictor import NotApplicableError
+from iksamples.methods.predictor import NotApplicableError, attempt
 from iksamples.network import StackedMLP
 from iksamples.results import Cell, certified
 from iksamples.samples.dataset import SampleSet
@@ -88,7 +90,7 @@ def certify_networks(
 
     Returns:
         One row per seed, columns as in ``columns.CERTIFICATES``. A bound that the checker does not
-        prove is missing.
+        prove is missing, and all where the numbers defeat the search, as is said on stderr.
     """
     together = 1 if samples.arms else PROVED_TOGETHER  # each on its own arm
     sound = set(network.finite_rows())
@@ -122,9 +124,43 @@ def _rows(
     answers: StackedMLP | Table,
     seeds: tuple[int, ...],
 ) -> list[dict[str, object]]:
-    """A row per network, or for a look-up table; all of one arm."""
+    """A row per network, or for a look-up table; all of one arm. One defeated is not proved."""
     if not seeds:
         return []
+    what = f"{method} on {samples.label}"
+    found, why = attempt(what, lambda: _proofs(study, task, method, samples, answers, seeds))
+    if found is not None:
+        return found
+    if isinstance(answers, StackedMLP) and len(seeds) > 1:  # one of them is at fault
+        singly = (answers.select([row]) for row in range(len(seeds)))
+        return [
+            row for one in singly for row in _rows(study, task, method, samples, one, one.seeds)
+        ]
+    print(f"{what}, seed {seeds[0]}: no proof ({why})", file=sys.stderr)
+    unproved = {"boxes": 0, "seconds": 0.0, "complete": False, "verified": False}
+    return [_head(method, samples, seeds[0]) | unproved]
+
+
+def _head(method: str, samples: SampleSet, seed: int) -> dict[str, object]:
+    """Of what a row is."""
+    return {
+        "method": method,
+        "label": samples.label,
+        "samples_per_axis": samples.points_per_axis,
+        "n_samples": samples.n_samples,
+        "seed": seed,
+        "region_share": samples.region_share,
+    }
+
+
+def _proofs(
+    study: Study,
+    task: Task,
+    method: str,
+    samples: SampleSet,
+    answers: StackedMLP | Table,
+    seeds: tuple[int, ...],
+) -> list[dict[str, object]]:
     chain = task.chain_of(seeds[0])
     positions = _proved(study, task, chain, samples, answers, "position")
     angles = _proved(study, task, chain, samples, answers, "angle") if task.turns else None
@@ -141,12 +177,7 @@ def _rows(
             done, verified = done and turned.complete, verified and bool(np.isfinite(most))
         rows.append(
             {
-                "method": method,
-                "label": samples.label,
-                "samples_per_axis": samples.points_per_axis,
-                "n_samples": samples.n_samples,
-                "seed": seeds[row],
-                "region_share": samples.region_share,
+                **_head(method, samples, seeds[row]),
                 **bounds,
                 **dict(zip(samples.space.columns("argmax_"), certificate.argmax, strict=True)),
                 "mean_lower_mm": mean.lower_mm if mean else np.nan,
@@ -262,9 +293,9 @@ def map_cell(study: Study, task: Task, cell: Cell) -> dict[str, pd.DataFrame]:
     """
     trainings, boxes = [], []
     for seed in shown_seeds(study, cell) if certified(study) else ():
-        trainings.append(_training(task, cell, seed))
+        trainings += _attempted(cell, seed, partial(_training, task, cell, seed))
         if len(task.x) <= _MOST_INPUTS:
-            boxes.append(_unsafe(study, task, cell, seed))
+            boxes += _attempted(cell, seed, partial(_unsafe, study, task, cell, seed))
     return {
         name: pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
         for name, tables, columns in (
@@ -272,6 +303,14 @@ def map_cell(study: Study, task: Task, cell: Cell) -> dict[str, pd.DataFrame]:
             (UNSAFE, boxes, _unsafe_columns(task)),
         )
     }
+
+
+def _attempted(cell: Cell, seed: int, prove: Callable[[], pd.DataFrame]) -> list[pd.DataFrame]:
+    """A table, or none where numbers defeat the proof, which is then said."""
+    found, why = attempt(f"{cell.method} on {cell.label}", prove)
+    if found is None:
+        print(f"{cell.method} on {cell.label}, seed {seed}: no map ({why})", file=sys.stderr)
+    return [] if found is None else [found]
 
 
 def merge_boxes(lower: ArrayLike, upper: ArrayLike) -> tuple[Floats, Floats]:

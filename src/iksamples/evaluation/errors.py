@@ -18,7 +18,9 @@ from iksamples.methods.predictor import (
     Predictor,
     Single,
     Stacked,
+    attempt,
     in_parts,
+    no_answer,
 )
 from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP, layers_of, read_tensors
@@ -212,20 +214,31 @@ def evaluate(
     n_points = study.evaluation.cube_points + sum(
         count_waypoints(path) for path in study.evaluation.paths.values()
     )
-    members = predictor.members if isinstance(predictor, Stacked) else [predictor]
-    fitted = {
-        seed: one
-        for seed, one in zip(predictor.seeds, members, strict=False)
-        if isinstance(one, Single)
-    }
     for part in in_parts(predictor, n_points, _ROWS):
-        tables = _measured(study.evaluation, task, part)
-        errors = tables["errors"]
-        if fitted:
-            errors["failed"] = [fitted[seed].failed for seed in errors["seed"]]
-            errors["confident_mm"] = [fitted[seed].confident_mm for seed in errors["seed"]]
-            errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
-        yield tables
+        if isinstance(part, Single | Stacked):
+            yield from _fitted(study, task, f"{own.kind} on {samples.label}", part)
+        else:
+            yield _measured(study.evaluation, task, part)
+
+
+def _fitted(
+    study: Study, task: Task, what: str, fitted: Single | Stacked
+) -> Iterator[dict[str, pd.DataFrame]]:
+    """The tables of what was fitted; of a member that cannot be asked, those of no answer."""
+    tables, why = attempt(what, lambda: _measured(study.evaluation, task, fitted))
+    members = fitted.members if isinstance(fitted, Stacked) else [fitted]
+    if tables is None and len(members) > 1:  # one of them is at fault
+        for row in range(len(members)):
+            yield from _fitted(study, task, what, fitted.select([row]))
+        return
+    if tables is None:
+        members = [no_answer(len(task.q), why, fitted.seeds)]
+        tables = _measured(study.evaluation, task, members[0])
+    own, errors = dict(zip(fitted.seeds, members, strict=True)), tables["errors"]
+    errors["failed"] = [own[seed].failed for seed in errors["seed"]]
+    errors["confident_mm"] = [own[seed].confident_mm for seed in errors["seed"]]
+    errors.loc[errors["region"] != CUBE, "confident_mm"] = np.nan
+    yield tables
 
 
 def nothing_measured() -> dict[str, pd.DataFrame]:

@@ -21,17 +21,17 @@ class NotApplicableError(IksamplesError):
 
 
 def attempt(what: str, fit: Callable[[], _Fitted]) -> tuple[_Fitted | None, str]:
-    """Fits something, which what was recorded may defeat: too few samples, a singular system.
+    """Fits, asks or proves something, which numbers may defeat: too few samples, a singular system.
 
     That is a result, as an error is, and other methods and samples have theirs. What stems from the
     machine or from a mistake in the program is none, and is not caught.
 
     Args:
         what: Which method on which samples, for the reason.
-        fit: Fits it.
+        fit: Does it.
 
     Returns:
-        What was fitted, and an empty text; or None, and why there is nothing.
+        What was fitted or found, and an empty text; or None, and why there is nothing.
 
     Raises:
         NotApplicableError: The method is not made for such samples.
@@ -42,7 +42,7 @@ def attempt(what: str, fit: Callable[[], _Fitted]) -> tuple[_Fitted | None, str]
         raise
     except IksamplesError as error:
         why = str(error)
-    except (np.linalg.LinAlgError, FloatingPointError, OverflowError) as error:
+    except (np.linalg.LinAlgError, ArithmeticError) as error:
         why = f"{what}: {error}."
     return None, " ".join(why.split())
 
@@ -115,6 +115,11 @@ class Single:
     def select(self, rows: Sequence[int], /) -> Self:
         """Itself, the only member."""
         return self
+
+
+def no_answer(n_joints: int, why: str, seeds: tuple[int, ...] = (0,)) -> Single:
+    """What stands for a method that failed: NaN everywhere."""
+    return Single(lambda x: np.full((len(x), n_joints), np.nan), seeds, failed=why)
 
 
 @dataclass(frozen=True)

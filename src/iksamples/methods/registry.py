@@ -3,11 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from iksamples.errors import IksamplesError
 from iksamples.methods import drawing, grid, scattered, trigonometric
-from iksamples.methods.predictor import Single, Stacked, attempt
+from iksamples.methods.predictor import Single, Stacked, attempt, no_answer
 from iksamples.samples.dataset import SampleSet
 from iksamples.task import Task
 
@@ -97,5 +95,4 @@ def fit_or_failed(kind: str, task: Task, samples: SampleSet) -> Single:
         NotApplicableError: As ``fit``.
     """
     found, why = attempt(f"{kind} on {samples.label}", lambda: fit(kind, task, samples))
-    n_joints = samples.joints.shape[1]
-    return found or Single(lambda x: np.full((len(x), n_joints), np.nan), failed=why)
+    return found or no_answer(samples.joints.shape[1], why)
