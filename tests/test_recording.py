@@ -326,8 +326,12 @@ def test_a_diverged_grid_is_left_out_and_named(
     assert not read(file, "/tool/grid3", "Points3D:positions", "waypoint")
     [[text]] = read(file, "/about", "TextDocument:text", None).values()
     assert "diverged: 27 samples" in text
-    with pytest.raises(IksamplesError, match="diverged"):
-        record_path(small, "heart", results[1:], tmp_path / "none.rrd")
+    none = tmp_path / "none.rrd"
+    record_path(small, "heart", results[1:], none)
+    [[text]] = read(none, "/about", "TextDocument:text", None).values()
+    assert "diverged: 27 samples" in text
+    assert "no network to draw" in text
+    assert read(none, "/path/target", "LineStrips3D:strips", None)
 
 
 def test_an_unknown_path_leaves_no_file(small: Study, results: list[Cell], tmp_path: Path) -> None:

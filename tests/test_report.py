@@ -346,10 +346,35 @@ def test_networks_that_diverged_are_counted_and_left_out(data: ReportData, tmp_p
     assert "7 without a result" in page.text_content()
     shown = table_with(page, "Method", "8", "27", "125").set_index("Method")
     assert str(shown.loc["network", "8"]) in ("", "nan")
-    with kept_file(tmp_path / "results/runs.parquet") as file:
-        runs.assign(failed="it diverged").to_parquet(file)
-    with pytest.raises(IksamplesError, match="every network diverged"):
-        write_report(data.study, tmp_path / "results", tmp_path / "report")
+
+
+@pytest.mark.parametrize(
+    "lost", [("network",), ("network", "other"), ("network", "other", "table")]
+)
+def test_without_a_network_of_its_own_the_report_has_what_others_reached(
+    data: ReportData, tmp_path: Path, lost: tuple[str, ...]
+) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(data.results, results, ignore=shutil.ignore_patterns(".*.sha256"))
+    runs = pd.read_parquet(results / "runs.parquet")
+    gone = runs["method"].isin(lost)
+    sup = {"sup_upper_mm": np.nan, "sup_lower_mm": np.nan, "verified": False}
+    runs.loc[gone, list(sup)] = list(sup.values())
+    runs.assign(failed=runs["failed"].where(~gone, "it diverged")).to_parquet(
+        results / "runs.parquet"
+    )
+    (results / "study.json").write_text(data.study.model_dump_json())
+    step("answer", results / "study.json", "--results", results)
+    write_report(data.study, results, tmp_path / "report")
+    page = html.parse(tmp_path / "report/index.html").getroot()
+    text = " ".join(page.text_content().split())
+    assert f"{9 - 3 * len(lost)} of 9 combinations" in text
+    assert "it diverged" in text
+    shown = table_with(page, "Method", "What it is", "Samples needed")
+    assert len(shown) == 3
+    if len(lost) < 3:
+        curves = table_with(page, "Method", "8", "27", "125")["Method"]
+        assert list(curves) == [name for name in ("network", "other", "table") if name not in lost]
 
 
 def test_a_bound_within_the_tolerance_is_of_all_the_workspace(data: ReportData) -> None:

@@ -48,7 +48,7 @@ def study_table(study: Study, cells: Iterable[Cell], certificates: pd.DataFrame)
     for cell in cells:
         samples, members = cell.samples, cell.table("members")
         sound = members.loc[~members["diverged"], "seed"]
-        errors = cell.sound_errors.set_index("region")
+        errors = cell.sound_errors
         bounds = cell.table("bounds").query("seed in @sound.values")
         name = study.bounds.average_weight
         spacing_mm = samples.spacing_mm
@@ -62,7 +62,7 @@ def study_table(study: Study, cells: Iterable[Cell], certificates: pd.DataFrame)
             "n_seeds": len(members),
             "n_diverged": len(members) - len(sound),
         }
-        row |= over_seeds(errors.loc[[first_path]], "", spacing_mm)
+        row |= over_seeds(errors[errors["region"] == first_path], "", spacing_mm)
         row["estimate_mm"] = bounds[f"estimate_{name}_mm"].mean()
         row["wbar"] = bounds[f"wbar_{name}"].mean()
         row["above_estimate"] = bounds[f"above_{name}"].mean()
@@ -79,7 +79,7 @@ def study_table(study: Study, cells: Iterable[Cell], certificates: pd.DataFrame)
                 paper.average_weight_of(on_paper["paper_estimate_mm"], m**3, scale_mm(study))
             )
         )
-        row |= over_seeds(errors.loc[[CUBE]], "cube_", spacing_mm)
+        row |= over_seeds(errors[errors["region"] == CUBE], "cube_", spacing_mm)
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -7,7 +7,8 @@ shown.
 """
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +20,15 @@ from rerun.urdf import UrdfTree
 from iksamples import __version__
 from iksamples.arm.chain import MM_PER_M, Floats, SerialChain
 from iksamples.arm.drawing import drawn_urdf, shows_bodies
-from iksamples.errors import IksamplesError
 from iksamples.recording.shown import (
     BLACK,
     ENTITY,
-    GREY,
-    RED,
     Colour,
     Proof,
     ShownGrid,
     blues,
     log_proof,
+    log_scene,
     proof_text,
     proof_view,
     read_grid,
@@ -160,10 +159,6 @@ def about(
         f"| {grid.error_mm.max():.2f} |"
         for grid in shown
     )
-    diverged = "".join(
-        f"Not shown, since its median seed diverged: {grid.n_samples} samples.\n"
-        for grid in left_out
-    )
     proved = f"\n{proof_text(proof, arm.n_samples)}\n" if proof else ""
     return f"""\
 # {path_name}, study {study.name}
@@ -183,13 +178,20 @@ Two timelines, to choose from at the lower left:
 |---:|---:|---:|---:|
 {rows}
 
-{diverged}
+{_missing(left_out)}
 Of the {arm.n_seeds} seeds trained on each set of samples the one with the median error on this path
 is shown. The second tab above the scene has every network by itself with its own training points.
 {proved}
 Lengths in the scene are in metres. Joint values outside the joint limits are drawn as they are.
 Study {study.digest()}, iksamples {__version__}, Rerun {rr.__version__}.
 """
+
+
+def _missing(left_out: Sequence[ShownGrid]) -> str:
+    return "".join(
+        f"Not shown, since its median seed diverged: {grid.n_samples} samples.\n"
+        for grid in left_out
+    )
 
 
 def _eye(points_mm: Floats, towards_mm: Floats) -> rrb.EyeControls3D:
@@ -227,7 +229,8 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
     Of each grid the network of the median seed is shown; a grid whose median seed diverged is left
     out, and the recording says so. The arm follows the network of the largest grid shown, also
     where its joint values leave the joint limits; what is proved of that network is shown where the
-    results hold it. A path of more than 600 waypoints is thinned.
+    results hold it. A path of more than 600 waypoints is thinned. Where no grid is left, the
+    recording says so beside the path.
 
     Args:
         study: The study.
@@ -236,20 +239,43 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
         output: The ``.rrd`` file.
 
     Raises:
-        IksamplesError: No grid can be shown, or the path was not evaluated.
+        IksamplesError: The path was not evaluated.
     """
     by_label = {cell.label: cell for cell in cells}
     task = study_task(study, next(iter(by_label.values())).samples.region)
     read = [read_grid(task, path_name, cell) for cell in by_label.values()]
     shown = [grid for grid in read if grid.finite]
-    if not shown:
-        raise IksamplesError(
-            f"recording of '{path_name}': the median seed of every grid diverged; there is nothing "
-            "to draw. Lower training.learning_rate."
-        )
     left_out = [grid for grid in read if not grid.finite]
-    proof = read_proof(task, by_label[shown[-1].label], shown[-1].seed)
-    _write(study, path_name, task, shown, left_out, proof, Path(output))
+    if shown:
+        proof = read_proof(task, by_label[shown[-1].label], shown[-1].seed)
+        _write(study, path_name, task, shown, left_out, proof, Path(output))
+        return
+    text = (
+        f"# {path_name}, study {study.name}\n\n{_missing(left_out)}\nSo there is no network to "
+        "draw, only the path and the workspace. The report says why.\n"
+    )
+    views = rrb.Spatial3DView(origin="/", background=WHITE), rrb.TextDocumentView(origin="/about")
+    with _opened(study, path_name, rrb.Blueprint(*views), text, Path(output)) as recording:
+        log_scene(recording, task, left_out[-1])
+
+
+@contextmanager
+def _opened(
+    study: Study, path_name: str, blueprint: rrb.Blueprint, text: str, file: Path
+) -> Iterator[rr.RecordingStream]:
+    """A recording with its name, layout and text, whole at the end."""
+    recording = rr.RecordingStream(
+        APPLICATION, recording_id=f"{study.name}-{path_name}", send_properties=False
+    )
+    # Two recordings of the same results are to hold the same, whatever the clock says.
+    rr.set_log_time_enabled(False, recording=recording)
+    recording.save(file, default_blueprint=blueprint)
+    recording.send_recording_name(f"{study.name}: {path_name}")
+    recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    yield recording
+    recording.flush()
+    recording.disconnect()
 
 
 def _write(
@@ -263,26 +289,16 @@ def _write(
 ) -> None:
     """Logs the whole scene to a file."""
     arm = shown[-1]
-    recording = rr.RecordingStream(
-        APPLICATION, recording_id=f"{study.name}-{path_name}", send_properties=False
-    )
-    # Two recordings of the same results are to hold the same, whatever the clock says.
-    rr.set_log_time_enabled(False, recording=recording)
     blueprint = layout(path_name, task, shown, proof)
-    recording.save(file, default_blueprint=blueprint)
-    recording.send_recording_name(f"{study.name}: {path_name}")
     text = about(study, path_name, shown, left_out, proof)
-    recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     waypoints = np.arange(0, len(arm.target_mm), -(-len(arm.target_mm) // MAX_WAYPOINTS))
-    _log_scene(recording, task, arm)
-    _log_arm(recording, study, task.chain_of(arm.seed), arm, waypoints)
-    for grid, colour in zip(shown, blues(len(shown)), strict=True):
-        _log_grid(recording, grid, colour, waypoints)
-    if proof is not None:
-        log_proof(recording, proof, arm.n_samples, EPOCH, f"error/{EPOCH}")
-    recording.flush()
-    recording.disconnect()
+    with _opened(study, path_name, blueprint, text, file) as recording:
+        log_scene(recording, task, arm)
+        _log_arm(recording, study, task.chain_of(arm.seed), arm, waypoints)
+        for grid, colour in zip(shown, blues(len(shown)), strict=True):
+            _log_grid(recording, grid, colour, waypoints)
+        if proof is not None:
+            log_proof(recording, proof, arm.n_samples, EPOCH, f"error/{EPOCH}")
 
 
 def _log_arm(
@@ -320,31 +336,6 @@ def _log_arm(
                 [rr.TimeColumn(timeline, sequence=times)],
                 joint.compute_transform_columns((values / unit).tolist(), clamp=False),
             )
-
-
-def _log_scene(recording: rr.RecordingStream, task: Task, grid: ShownGrid) -> None:
-    """What does not depend on a network: the path and the workspace."""
-    recording.log(
-        "path/target",
-        rr.LineStrips3D(
-            np.split(grid.target_mm / MM_PER_M, grid.breaks),
-            colors=RED,
-            radii=rr.Radius.ui_points(1.5),
-        ),
-        static=True,
-    )
-    lower, upper = task.positions_mm([task.x.lower, task.x.upper])
-    recording.log(
-        "workspace",
-        rr.Boxes3D(
-            mins=[lower / MM_PER_M],
-            sizes=[(upper - lower) / MM_PER_M],
-            colors=GREY,
-            radii=rr.Radius.ui_points(0.75),
-            fill_mode="majorwireframe",
-        ),
-        static=True,
-    )
 
 
 def _log_grid(

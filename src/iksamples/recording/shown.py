@@ -103,6 +103,31 @@ ORANGE: Colour = (214, 110, 10)
 _LIGHT_BLUE, _DARK_BLUE = np.array([140, 200, 255]), np.array([10, 40, 140])
 
 
+def log_scene(recording: rr.RecordingStream, task: Task, grid: ShownGrid) -> None:
+    """What does not depend on a network: the path and the workspace."""
+    recording.log(
+        "path/target",
+        rr.LineStrips3D(
+            np.split(grid.target_mm / MM_PER_M, grid.breaks),
+            colors=RED,
+            radii=rr.Radius.ui_points(1.5),
+        ),
+        static=True,
+    )
+    lower, upper = task.positions_mm([task.x.lower, task.x.upper])
+    recording.log(
+        "workspace",
+        rr.Boxes3D(
+            mins=[lower / MM_PER_M],
+            sizes=[(upper - lower) / MM_PER_M],
+            colors=GREY,
+            radii=rr.Radius.ui_points(0.75),
+            fill_mode="majorwireframe",
+        ),
+        static=True,
+    )
+
+
 def blues(n: int) -> list[Colour]:
     """Colours of n grids, from few samples (light) to many (dark)."""
     shades = _LIGHT_BLUE + np.linspace(0, 1, n)[:, None] * (_DARK_BLUE - _LIGHT_BLUE)

@@ -18,6 +18,7 @@ from iksamples.evaluation.errors import median_seed
 from iksamples.files import stored_object, stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
+from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
 from iksamples.text import domain, trial
 
@@ -69,7 +70,7 @@ class ReportData:
     @cached_property
     def compared(self) -> pd.DataFrame:
         """The rows of ``workspace`` that learn from samples: all but the drawing's inverse's."""
-        return self.workspace[self.workspace["method"].map(self.learns)]
+        return self.workspace[self.workspace["method"].map(self.learns).astype(bool)]
 
     @cached_property
     def learns(self) -> dict[str, bool]:
@@ -85,8 +86,13 @@ class ReportData:
         return rows[(rows["method"] == NETWORK) & first].sort_values("n_samples", kind="stable")
 
     @cached_property
+    def sets(self) -> list[SampleSet]:
+        """Every set of samples of the first design, fewest first."""
+        return [cell.samples for cell in cells(self.study, self.results)]
+
+    @cached_property
     def cells(self) -> dict[str, Cell]:
-        """The study's network on each set of samples of the first design, fewest first."""
+        """The study's network on each set of ``sets`` on which one came to a result."""
         found = {cell.label: cell for cell in cells(self.study, self.results)}
         return {label: found[label] for label in self.own["label"].unique()}
 
@@ -100,8 +106,7 @@ class ReportData:
     @property
     def loss_unit(self) -> str:
         """Unit of the losses, for an axis; none where prismatic joints count by their scale."""
-        joints = next(iter(self.cells.values())).samples.joint_space
-        return "" if "mm" in joints.units else " [rad²]"
+        return "" if "mm" in self.sets[0].joint_space.units else " [rad²]"
 
     def samples_mm(self, label: str) -> Floats:
         """Where the samples of a set are [mm], shape (n, coordinates of the position)."""
@@ -172,7 +177,7 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
     """Reads a finished study.
 
     Raises:
-        IksamplesError: A result is missing or unreadable, or every network diverged.
+        IksamplesError: A result is missing or unreadable.
     """
     runs = read_runs(results)
     failed = runs["failed"].ne("")
@@ -181,13 +186,7 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
         worst_deg=runs["angle_upper_deg"].fillna(runs["angle_max_deg"]),
     )
     n_failed = int((failed & (runs["region"] == WORKSPACE)).sum())
-    data = ReportData(study, results, command, sound, n_failed)
-    if data.own.empty and not study.samples.recorded:
-        raise IksamplesError(
-            f"{results}: every network diverged, so there is nothing to report. "
-            "Lower training.learning_rate."
-        )
-    return data
+    return ReportData(study, results, command, sound, n_failed)
 
 
 def read_benchmarks(folder: Path) -> pd.DataFrame:

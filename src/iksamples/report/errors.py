@@ -27,10 +27,9 @@ def curves(data: ReportData) -> dict[str, Any]:
         for measure, columns in MEASURES.items()
         if data.compared[list(columns)].notna().to_numpy().any()
     }
-    regions = data.runs[(data.runs["method"] == NETWORK) & data.runs["label"].isin(data.cells)]
-    dots = regions.assign(line=f"{NETWORK}, one mark per seed", tip=_tips(regions))
-    history = data.table("history")
-    return {
+    if data.compared.empty:
+        return {}
+    return (_trainings(data) if data.cells else {}) | {
         "drawings": {one: _curves_drawing(data, one, columns) for one, columns in measured.items()},
         "tables": {
             f"{name} over the workspace [{column.rsplit('_', 1)[1]}]": _by_size(data, column)
@@ -38,6 +37,16 @@ def curves(data: ReportData) -> dict[str, Any]:
             for column, name in columns.items()
         },
         "baseline": _baseline(data),
+        "on_path": _mean_and_sd(data),
+        "source": (data.results / "runs.parquet").as_posix(),
+    }
+
+
+def _trainings(data: ReportData) -> dict[str, Any]:
+    """Single trainings of the study's network."""
+    regions = data.runs[(data.runs["method"] == NETWORK) & data.runs["label"].isin(data.cells)]
+    dots = regions.assign(line=f"{NETWORK}, one mark per seed", tip=_tips(regions))
+    return {
         "seeds": figures.lines(
             dots,
             "n_samples",
@@ -48,10 +57,8 @@ def curves(data: ReportData) -> dict[str, Any]:
             panel="region",
         ),
         "regions": _regions(regions),
-        "on_path": _mean_and_sd(data),
-        "training": _training_drawing(history, data.loss_unit),
+        "training": _training_drawing(data.table("history"), data.loss_unit),
         "steps": data.table("members").groupby("n_samples")["steps"].median(),
-        "source": (data.results / "runs.parquet").as_posix(),
     }
 
 

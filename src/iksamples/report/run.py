@@ -30,8 +30,8 @@ _PATH_SETS = 4
 
 def facts(data: ReportData) -> list[str]:
     """The study in a line: arm, workspace, network, training, samples."""
-    study, n = data.study, data.own["n_samples"]
-    samples = next(iter(data.cells.values())).samples
+    study, samples = data.study, data.sets[0]
+    n = [one.n_samples for one in data.sets]
     space, joints, training = samples.space, samples.joint_space, study.training
     ranges = ", ".join(
         f"{name} {low:g} to {high:g} {unit}"
@@ -48,7 +48,7 @@ def facts(data: ReportData) -> list[str]:
         f"network {'-'.join(map(str, [len(space), *study.network.hidden, len(joints)]))}, "
         f"{study.network.activation}",
         f"{OPTIMIZERS[training.optimizer]}, {budget}",
-        f"{n.min()} to {n.max()} samples ({', '.join(study.samples.designs)})",
+        f"{min(n)} to {max(n)} samples ({', '.join(study.samples.designs)})",
         f"{training.seeds} arms, each with a training of its own"
         if study.arm
         else f"{training.seeds} trainings each",
@@ -57,8 +57,23 @@ def facts(data: ReportData) -> list[str]:
 
 def paths(data: ReportData) -> dict[str, Any]:
     """The paths as the networks draw them, and the commands that open the recordings."""
-    region = next(iter(data.cells.values())).samples.region
-    chain_of, waypoints = study_task(data.study, region).chain_of, data.table("waypoints")
+    uri = str(data.tracking.get("tracking_uri", ""))
+    local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {shlex.quote(uri)}"
+    return (_drawn(data) if data.cells else {}) | {
+        "recordings": [
+            shlex.join(["rerun", (data.results / "recordings" / f"{name}.rrd").as_posix()])
+            for name in data.study.evaluation.paths
+        ],
+        "put_off": data.tracking.get("command"),
+        "server": uri if uri.startswith("http") else None,
+        "mlflow": f"MLFLOW_DISABLE_TELEMETRY=true mlflow ui{local}",
+    }
+
+
+def _drawn(data: ReportData) -> dict[str, Any]:
+    """The pictures of the paths."""
+    chain_of = study_task(data.study, data.sets[0].region).chain_of
+    waypoints = data.table("waypoints")
     box = np.array(data.study.workspace.lower_mm), np.array(data.study.workspace.upper_mm)
     labels = list(data.cells)
     spread = np.unique(np.linspace(0, len(labels) - 1, min(_PATH_SETS, len(labels))).round())
@@ -71,20 +86,11 @@ def paths(data: ReportData) -> dict[str, Any]:
         samples = data.samples_mm(label)
         return len(samples), strokes, samples
 
-    uri = str(data.tracking.get("tracking_uri", ""))
-    local = "" if uri in ("", "sqlite:///mlflow.db") else f" --backend-store-uri {shlex.quote(uri)}"
     return {
         "scene": scene(data, chain_of, waypoints),
         "arm": views.arm(chain_of, box, [panel(label, names[-1]) for label in (few[0], few[-1])]),
         "plans": views.plans([panel(label, names[0]) for label in few]),
         "arm_path": names[-1],
-        "recordings": [
-            shlex.join(["rerun", (data.results / "recordings" / f"{name}.rrd").as_posix()])
-            for name in names
-        ],
-        "put_off": data.tracking.get("command"),
-        "server": uri if uri.startswith("http") else None,
-        "mlflow": f"MLFLOW_DISABLE_TELEMETRY=true mlflow ui{local}",
     }
 
 
@@ -105,13 +111,13 @@ def cost(data: ReportData) -> dict[str, Any]:
             "Peak memory [MB]": by["max_rss_mb"].max(),
         }
     )
-    steps = data.table("members")["steps"]
+    members = data.table("members")
     return {
         "table": table.sort_values("Wall clock [s]", ascending=False).reset_index(names="Step"),
         "total": total,
         "peak": jobs["max_rss_mb"].max(),
-        "networks": len(steps),
-        "steps": steps.sum(),
+        "networks": len(members),
+        "steps": members["steps"].sum() if len(members) else 0,
     }
 
 

@@ -71,8 +71,8 @@ def write_report(
         command: What a user types to run the study.
 
     Raises:
-        IksamplesError: A result is missing or unreadable, or every network diverged. What an
-            earlier run wrote is then left as it was.
+        IksamplesError: A result is missing or unreadable. What an earlier run wrote is then left as
+            it was.
     """
     results, output = Path(results), Path(output)
     data = read_report_data(study, results, command)
@@ -96,7 +96,8 @@ def write_report(
     template = environment.get_template("report.md.j2")
     readme, text = (markdown.tidy(template.render(values, page=one)) for one in (False, True))
     body = markdown.to_html(text, pictures.inline())
-    body = body.replace("<!-- viewer -->", _viewer(values["paths"]["scene"]))
+    if data.cells:
+        body = body.replace("<!-- viewer -->", _viewer(values["paths"]["scene"]))
     save(output, readme, page(title, body), pictures)
 
 
@@ -180,8 +181,8 @@ def html_environment() -> Environment:
 
 
 def _paper(environment: Environment, data: Any, pictures: Pictures) -> Markup:
-    """The sections of a study that was held against the paper; else nothing."""
-    if not data.study.paper:
+    """The sections of a study whose networks were held against the paper; else nothing."""
+    if not (data.study.paper and data.cells):
         return Markup("")
     template = environment.get_template(paper.TEMPLATE)
     return Markup(template.render(paper.values(data), figure=pictures))
