@@ -127,41 +127,29 @@ def _rows(
     """A row per network, or for a look-up table; all of one arm. One defeated is not proved."""
     if not seeds:
         return []
-    what = f"{method} on {samples.label}"
-    found, why = attempt(what, lambda: _proofs(study, task, method, samples, answers, seeds))
-    if found is not None:
-        return found
-    if isinstance(answers, StackedMLP) and len(seeds) > 1:  # one of them is at fault
-        singly = (answers.select([row]) for row in range(len(seeds)))
-        return [
-            row for one in singly for row in _rows(study, task, method, samples, one, one.seeds)
-        ]
-    print(f"{what}, seed {seeds[0]}: no proof ({why})", file=sys.stderr)
-    unproved = {"boxes": 0, "seconds": 0.0, "complete": False, "verified": False}
-    return [_head(method, samples, seeds[0]) | unproved]
-
-
-def _head(method: str, samples: SampleSet, seed: int) -> dict[str, object]:
-    """Of what a row is."""
-    return {
+    head = {
         "method": method,
         "label": samples.label,
         "samples_per_axis": samples.points_per_axis,
         "n_samples": samples.n_samples,
-        "seed": seed,
         "region_share": samples.region_share,
     }
+    what = f"{method} on {samples.label}"
+    found, why = attempt(what, lambda: _proofs(study, task, samples, answers, seeds[0]))
+    if found is None and isinstance(answers, StackedMLP) and len(seeds) > 1:
+        singly = (answers.select([row]) for row in range(len(seeds)))  # one of them is at fault
+        parts = (_rows(study, task, method, samples, one, one.seeds) for one in singly)
+        return [row for part in parts for row in part]
+    if found is None:
+        print(f"{what}, seed {seeds[0]}: no proof ({why})", file=sys.stderr)
+        found = [{"boxes": 0, "seconds": 0.0, "complete": False, "verified": False}]
+    return [head | {"seed": seed} | row for seed, row in zip(seeds, found, strict=True)]
 
 
 def _proofs(
-    study: Study,
-    task: Task,
-    method: str,
-    samples: SampleSet,
-    answers: StackedMLP | Table,
-    seeds: tuple[int, ...],
+    study: Study, task: Task, samples: SampleSet, answers: StackedMLP | Table, seed: int
 ) -> list[dict[str, object]]:
-    chain = task.chain_of(seeds[0])
+    chain = task.chain_of(seed)
     positions = _proved(study, task, chain, samples, answers, "position")
     angles = _proved(study, task, chain, samples, answers, "angle") if task.turns else None
     rows = []
@@ -177,7 +165,6 @@ def _proofs(
             done, verified = done and turned.complete, verified and bool(np.isfinite(most))
         rows.append(
             {
-                **_head(method, samples, seeds[row]),
                 **bounds,
                 **dict(zip(samples.space.columns("argmax_"), certificate.argmax, strict=True)),
                 "mean_lower_mm": mean.lower_mm if mean else np.nan,
@@ -308,9 +295,10 @@ def map_cell(study: Study, task: Task, cell: Cell) -> dict[str, pd.DataFrame]:
 def _attempted(cell: Cell, seed: int, prove: Callable[[], pd.DataFrame]) -> list[pd.DataFrame]:
     """A table, or none where numbers defeat the proof, which is then said."""
     found, why = attempt(f"{cell.method} on {cell.label}", prove)
-    if found is None:
-        print(f"{cell.method} on {cell.label}, seed {seed}: no map ({why})", file=sys.stderr)
-    return [] if found is None else [found]
+    if found is not None:
+        return [found]
+    print(f"{cell.method} on {cell.label}, seed {seed}: no map ({why})", file=sys.stderr)
+    return []
 
 
 def merge_boxes(lower: ArrayLike, upper: ArrayLike) -> tuple[Floats, Floats]:
