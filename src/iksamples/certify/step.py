@@ -185,14 +185,9 @@ def _mean(
     if len(task.x) > MOST_INPUTS_OF_A_MEAN:
         return None
     return certify_mean(
-        answers,
-        row,
-        chain,
-        task.region,
-        rtol=study.bounds.mean_rtol,
-        atol_mm=study.bounds.mean_atol_mm,
-        target=task.target,
-    )
+        answers, row, chain, task.region, target=task.target,
+        rtol=study.bounds.mean_rtol, atol_mm=study.bounds.mean_atol_mm,
+    )  # fmt: skip
 
 
 def _proved(
