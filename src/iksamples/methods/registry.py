@@ -20,6 +20,7 @@ class Kind:
         needs_grid: Needs a sample at every crossing of a grid (``grid.tensor_grid``).
         certifiable: Its worst case can be proved.
         needs_samples: It learns from the samples at all.
+        dense: It solves a matrix of all samples, of ``scattered.MOST_SAMPLES`` at most.
     """
 
     fit: Callable[[Task, SampleSet], Single] | None
@@ -27,6 +28,7 @@ class Kind:
     needs_grid: bool = False
     certifiable: bool = False
     needs_samples: bool = True
+    dense: bool = False
 
 
 KINDS: dict[str, Kind] = {
@@ -34,12 +36,12 @@ KINDS: dict[str, Kind] = {
     "multilinear": Kind(lambda _, s: grid.multilinear(s), needs_grid=True, certifiable=True),
     "cubic": Kind(lambda _, s: grid.cubic(s), needs_grid=True),
     "polynomial": Kind(lambda _, s: grid.polynomial(s), needs_grid=True),
-    "rbf": Kind(lambda _, s: scattered.rbf(s)),
-    "gaussian-process": Kind(lambda _, s: scattered.gaussian_process(s)),
+    "rbf": Kind(lambda _, s: scattered.rbf(s), dense=True),
+    "gaussian-process": Kind(lambda _, s: scattered.gaussian_process(s), dense=True),
     "nominal": Kind(lambda task, _: drawing.nominal(task), needs_samples=False),
     "calibrated": Kind(drawing.calibrated),
     "trigonometric": Kind(trigonometric.fit),
-    "residual": Kind(drawing.residual),
+    "residual": Kind(drawing.residual, dense=True),
 }
 """Kind of method (``study.MethodKind``) -> what it is."""
 

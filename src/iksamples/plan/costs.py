@@ -156,7 +156,7 @@ def fit_bytes(study: Study, shape: Shape, name: str, method: Method) -> Terms:
 
 def kernel_seconds(kind: str, n: int) -> float:
     """Of one fit of a method that is not trained to n samples."""
-    if kind in ("rbf", "gaussian-process", "residual"):
+    if KINDS[kind].dense:
         if n > MOST_SAMPLES:
             return 0.0
         if kind == "rbf":
@@ -167,14 +167,14 @@ def kernel_seconds(kind: str, n: int) -> float:
 
 def answer_seconds(kind: str, n: int, joints: int) -> float:
     """Of one answer of such a method."""
-    if kind in ("rbf", "gaussian-process", "residual"):
+    if KINDS[kind].dense:
         return (5e-9 if kind == "rbf" else 1e-7) * n * (n <= MOST_SAMPLES) + 1e-6
     return 2e-6 if KINDS[kind].needs_grid else 4e-6 * joints
 
 
 def kernel_bytes(kind: str, n: int, arms: int, points: float = 8192) -> float:
     """Memory of such a method: the fit of every arm, and its work on points at once."""
-    if kind in ("rbf", "gaussian-process", "residual") and n <= MOST_SAMPLES:
+    if KINDS[kind].dense and n <= MOST_SAMPLES:
         return 8.0 * n**2 * (max(1, arms) + 2) + 8.0 * points * n * 5
     return 500.0 * n
 
