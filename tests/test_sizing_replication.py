@@ -138,6 +138,30 @@ def test_a_study_checks_itself(tmp_path):
     assert activations.items() <= {"network": "relu", "tanh": "tanh"}.items()
 
 
+@pytest.mark.slow
+def test_a_study_of_arms_that_give_way_checks_itself_without_proofs(tmp_path):
+    results, file = tmp_path / "results", tmp_path / "loose.json"
+    settings = {
+        "name": "loose",
+        "arm": {"backlash_rad": 0.01},
+        "samples": {"points_per_axis": [2]},
+        "training": {"seeds": 6, "epochs": 50},
+        "evaluation": {"cube_points": 100},
+        "tolerance": {"error_mm": 1000, "success_share": 0.5},
+        "replication": {"seeds": 3},
+    }
+    file.write_text(json.dumps(settings))
+    sets = [results / "samples/grid2.parquet"]
+    steps.samples(file, results / "samples")
+    steps.train(file, sets, results)
+    steps.evaluate(file, sets, ["network"], results)
+    steps.floor(file, sets, results / "floor/errors.parquet")
+    steps.collect(file, results)
+    steps.answer(file, results)
+    steps.replicate(file, results, results / "replication.json")
+    assert [check.at.n_seeds for check in read_replications(results)] == [3]
+
+
 def test_a_study_without_fresh_seeds_says_so(command, tmp_path):
     file = tmp_path / "s.yaml"
     file.write_text("name: s")

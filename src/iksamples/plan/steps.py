@@ -254,9 +254,7 @@ def _replication(
     """The answers' networks again, on two sizes each."""
     fresh = 2 * study.replication.seeds * len(plans) * len(study.samples.designs)
     share = fresh / sum(plan.networks for plan in plans.values())
-    again = sum(plan.seconds for plan in plans.values()) + total(*evaluations)
-    if study.tolerance.certifiable:
-        again += total(*proved)
+    again = sum(plan.seconds for plan in plans.values()) + total(*evaluations, *proved)
     sizes = []
     for name in plans:
         method = study.all_methods[name]
