@@ -2,9 +2,14 @@
 
 import io
 import json
+import os
 import re
+import signal
+import socket
 import subprocess
 from contextlib import redirect_stdout
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -13,8 +18,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from measured_arms import recorded
+from typer.testing import CliRunner
 
+from iksamples.cli import app
 from iksamples.cli.common import say
+from iksamples.errors import IksamplesError
 from iksamples.network import StackedMLP
 from iksamples.results import cells
 from iksamples.samples.record import grid_samples
@@ -75,6 +83,74 @@ def test_what_is_not_there_is_named_without_a_traceback(command, tmp_path, argum
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+PIPE_OF = {
+    "study": "check PIPE",
+    "arm": "certify --weights x.pt --robot PIPE --box 0 0 0 1 1 1",
+    "weights": "certify --weights PIPE --robot config/robots/rrr70.urdf --box 0 0 0 1 1 1",
+    "records": "size PIPE --tolerance-mm 1",
+    "curve": "size --curve PIPE",
+    "records of a fit": "fit-arm --robot config/robots/rrr70.urdf --samples PIPE -o x",
+    "samples": "next config/config.yaml --samples PIPE -o x",
+    "steps": "train config/config.yaml PIPE -o x",
+}
+
+
+def socket_file(path):
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+
+
+def waited(*_):
+    raise AssertionError("waits for what never comes")
+
+
+ODD = {
+    "pipe": os.mkfifo,
+    "socket": socket_file,
+    "folder": os.mkdir,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+
+
+@pytest.mark.parametrize("kind", ODD)
+@pytest.mark.parametrize("what", PIPE_OF)
+def test_what_is_no_file_is_refused_and_not_waited_for(kind, what):
+    with TemporaryDirectory() as folder:  # pytest's own are too deep for the name of a socket
+        place = Path(folder) / "odd"
+        ODD[kind](place)
+        words = [str(place) if word == "PIPE" else word for word in PIPE_OF[what].split()]
+        signal.signal(signal.SIGALRM, waited)
+        signal.alarm(60)
+        try:
+            with pytest.raises(IksamplesError, match="odd") as refused:
+                CliRunner().invoke(app, words, catch_exceptions=False)
+        finally:
+            signal.alarm(0)
+        assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("size r.csv --tip-link tool", "--tip-link tool is a link of an arm; name it, --robot"),
+        ("size r.csv --joint-unit deg", "--joint-unit: of no use to records that are no LeRobot"),
+        ("size r.csv --tool-from-drawing", "--tool-from-drawing: of no use"),
+        ("size r.csv --socket-distance-mm 9", "--socket-distance-mm: of no use"),
+        ("size --curve r.csv --tip-link tool", "--tip-link: of no use to a learning curve"),
+        ("next --robot a.urdf -o x --anywhere", "--anywhere: of no use without --box"),
+        ("next --robot a.urdf -o x --column x_mm=x", "--column: of no use without --samples"),
+        ("certify --weights w --robot r --box 0 0 0 1 1 1 --atol-deg 1", "--atol-deg: of no use"),
+        (
+            "prove config/config.yaml s --method network --folder f -o x --proved p --seeds 0-1",
+            "no --seeds",
+        ),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(words, says):
+    with pytest.raises(IksamplesError, match=re.escape(says)):
+        CliRunner().invoke(app, words.split(), catch_exceptions=False)
 
 
 @pytest.mark.parametrize("step", ["check", "learn"])

@@ -113,6 +113,7 @@ def read_bytes(path: str | Path, most: int, what: str) -> bytes:
         IksamplesError: It cannot be read, or is larger.
     """
     try:
+        require_plain(path)
         with Path(path).open("rb") as file:
             content = file.read(most + 1)
     except (OSError, ValueError) as error:
@@ -121,6 +122,19 @@ def read_bytes(path: str | Path, most: int, what: str) -> bytes:
         size = f"{most // 10**6} MB" if most >= 10**6 else f"{most // 1000} kB"
         raise IksamplesError(f"{path}: over {size} is no {what.removeprefix('the ')}.")
     return content
+
+
+def require_plain(path: str | Path) -> None:
+    """Stops before a pipe, which would be waited for, and a device, which may have no end.
+
+    Raises:
+        OSError: It is such a one, or a folder.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise OSError(
+            errno.EINVAL, f"{'a folder' if path.is_dir() else 'a pipe or device'}, no file"
+        )
 
 
 TEXTS = {

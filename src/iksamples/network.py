@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iksamples.errors import IksamplesError, in_a_line
-from iksamples.files import checked
+from iksamples.files import checked, require_plain
 
 
 Floats = NDArray[np.float64]
@@ -182,6 +182,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, NDArray], dict[str, Any]]:
     from safetensors import SafetensorError, safe_open
 
     try:
+        require_plain(path)
         with safe_open(str(checked(path)), framework="numpy") as file:
             header = json.loads(file.metadata()["iksamples"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118

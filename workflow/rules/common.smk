@@ -13,7 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from iksamples.errors import IksamplesError
-from iksamples.files import put_aside, whole_file
+from iksamples.files import put_aside, require_plain, whole_file
 from iksamples.jobs import parts
 from iksamples.plan import require_affordable
 from iksamples.plan import resources as asked
@@ -39,6 +39,7 @@ def stop(message):
 def digest_of(file, key):
     """Of a file that the study names: the path of an input would be a pattern to Snakemake."""
     try:
+        require_plain(file)
         return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
     except OSError as error:
         stop(f"{key}: cannot read {file} ({error.strerror}).")

@@ -9,6 +9,7 @@ from typer.core import TyperCommand
 
 from iksamples.cli.common import (
     app,
+    refuse_unused,
     say,
     shown,
 )
@@ -59,6 +60,7 @@ def _is_number(word: str) -> bool:
 
 @app.command(cls=NumbersCommand)
 def certify(
+    context: typer.Context,
     weights: Annotated[
         Path,
         typer.Option(help="Networks: .onnx, or a state dict (.pt, .pth, .ckpt, .safetensors)."),
@@ -182,6 +184,8 @@ def certify(
 
     region = _box(box)
     target = _target(region.n_inputs, inputs, orientation, reference_rpy_rad)
+    if target.orientation == "free":
+        refuse_unused(context, ["atol_deg"], "where the tool may turn as it comes")
     tool = _numbers("--tool-offset-mm", tool_offset_mm)
     if tool is not None and (tool.shape != (3,) or not np.isfinite(tool).all()):
         raise IksamplesError("--tool-offset-mm: give x, y and z, three numbers [mm].")

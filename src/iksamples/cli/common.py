@@ -128,6 +128,8 @@ def columns_of(said: list[str] | None) -> dict[str, str]:
 def arm_settings(robot: Path | None, tip_link: str | None) -> dict[str, object]:
     """What ``--robot`` and ``--tip-link`` say, as a study does; nothing where no arm is named."""
     if robot is None:
+        if tip_link is not None:
+            raise IksamplesError(f"--tip-link {tip_link} is a link of an arm; name it, --robot.")
         return {}
     return {"robot": {"urdf": str(robot), "tip_link": tip_link}}
 

@@ -148,6 +148,10 @@ def next_(
     refuse_unused(context, ["weights"], "to a calibration, which asks no networks")
     if study_file is not None:
         refuse_unused(context, ["tip_link"], "beside a study, which names its own")
+    elif box is None:
+        refuse_unused(context, ["anywhere"], "without --box: it is anywhere then")
+    if samples_file is None:
+        refuse_unused(context, ["column"], "without --samples")
     said = {
         "error_mm": tolerance_mm,
         "confidence": confidence,

@@ -116,8 +116,12 @@ def size(
     if set(given) - {"mm"}:
         raise IksamplesError("records are judged in mm; say what is allowed with --tolerance-mm.")
     from iksamples.recorded.learn import sized_study
+    from iksamples.recorded.lerobot import is_lerobot
     from iksamples.recorded.sockets import is_sockets
 
+    if not is_lerobot(recording):
+        of_lerobot = ["joint_unit", "tool_from_drawing"]
+        refuse_unused(context, of_lerobot, "to records that are no LeRobot data set")
     sockets: dict[str, Any] = {}
     if is_sockets(recording):
         if robot is None or socket_distance_mm is None:
@@ -125,7 +129,10 @@ def size(
                 f"{recording}: postures in sockets; name the arm with --robot, and say how far "
                 "apart the two sockets are with --socket-distance-mm."
             )
+        refuse_unused(context, ["column"], "to postures in sockets")
         sockets = {"kind": "sockets", "socket_distance_mm": socket_distance_mm}
+    else:
+        refuse_unused(context, ["socket_distance_mm"], "to records that are not of sockets")
     settings = {
         "name": "recorded",
         "tolerance": asked | {"of": of},

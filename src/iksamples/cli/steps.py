@@ -178,6 +178,8 @@ def prove(
     study = read(study_file)
     require_one_of(certified(study), method, f"{study_file}: nothing can be proved of")
     if proved:
+        if seeds:
+            raise IksamplesError("prove: --proved joins all tables that it names; no --seeds then.")
         table = joined(proved, [file.stem for file in samples_files])
     else:
         all_samples, some = load_samples(samples_files), seed_range(seeds)

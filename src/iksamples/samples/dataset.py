@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from iksamples import __version__
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError, in_a_line
-from iksamples.files import checked
+from iksamples.files import checked, require_plain
 from iksamples.region import Region
 from iksamples.task import Space
 
@@ -214,6 +214,7 @@ class SampleSet:
 
         path = checked(path)
         try:
+            require_plain(path)
             table = parquet.read_table(path)
             header = json.loads(table.schema.metadata[b"iksamples"])
             found = cls._of(table, header)

@@ -11,6 +11,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
+from iksamples.files import require_plain
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_set
 from iksamples.samples.table import Table, read_table
@@ -117,6 +118,7 @@ def _is_ours(path: Path) -> bool:
     from pyarrow import parquet
 
     try:
+        require_plain(path)
         return b"iksamples" in (parquet.read_schema(path).metadata or {})
     except (OSError, pa.ArrowException):
         return False

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError, in_a_line
+from iksamples.files import require_plain
 
 
 _MOST_BYTES = 500_000_000
@@ -105,6 +106,7 @@ def read_table(path: str | Path) -> Table:
 
 def _content(path: Path) -> bytes:
     try:
+        require_plain(path)
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
         if content.startswith(b"\x1f\x8b"):

@@ -87,7 +87,7 @@ def load_network(
     path = Path(path)
     try:
         if not path.is_file():
-            raise IksamplesError("no such file")
+            raise IksamplesError("not a file" if path.exists() else "no such file")
         checkpoint.require_size(path)
         with path.open("rb") as file:
             head = file.read(32)
