@@ -47,7 +47,7 @@ replication: {seeds: 2}
 RESULTS = Path("results/faults")
 SNAKEMAKE = [sys.executable, "-P", "-m", "snakemake"]
 COMMAND = [*SNAKEMAKE, "--cores", "2", "--configfile", "faults.yaml"]
-PATIENCE_S = 300.0
+PATIENCE_S = 900.0
 """After this a command is said to hang."""
 
 

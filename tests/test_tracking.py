@@ -379,6 +379,40 @@ def test_a_cut_off_logging_is_finished_by_the_next(
     assert len(all_runs(uri)) == RUNS  # it went on in the run that was cut off
 
 
+DIES = """
+import os, sys
+from pathlib import Path
+from iksamples.study import Study
+from iksamples.tracking.track import track
+
+begun = []
+def dies(event, arguments):
+    # At whatever comes after a file among a run's was opened to be written.
+    if begun:
+        os._exit(9)
+    if event == "open" and "/artifacts/" in str(arguments[0]) and arguments[2] & os.O_CREAT:
+        begun.append(event)
+
+sys.addaudithook(dies)
+study, results = Study.model_validate_json(sys.argv[1]), Path(sys.argv[2])
+track(study, results, results / "tracking.json")
+"""
+
+
+def test_nothing_is_left_of_a_file_that_was_cut_off(
+    small: Study, results: list[Cell], empty_store: Path, tmp_path: Path
+) -> None:
+    collect(small, results[0].results).to_parquet(results[0].results / "runs.parquet")
+    call = [sys.executable, "-c", DIES, small.model_dump_json(), str(results[0].results)]
+    assert subprocess.run(call).returncode == 9
+    assert [path for path in Path("mlruns").rglob("*") if path.is_file()] != []
+    log(small, results)
+    left = {path.name for path in Path("mlruns").rglob("*") if path.is_file()}
+    shutil.rmtree("mlruns")
+    log(at(small, f"sqlite:///{shutil.copy(empty_store, tmp_path / 'other.db')}"), results)
+    assert left == {path.name for path in Path("mlruns").rglob("*") if path.is_file()}
+
+
 def test_a_deleted_experiment_comes_back(small: Study, results: list[Cell], uri: str) -> None:
     log(small, results)
     client = connect(uri)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from filelock import FileLock
@@ -223,10 +224,13 @@ def _log(
     if content.samples:
         context = [InputTag("mlflow.data.context", "training")]
         client.log_inputs(run_id, [DatasetInput(_dataset(content), context)])
-    for name, text in content.texts.items():
-        client.log_text(run_id, text, name)
-    for path in content.files:
-        client.log_artifact(run_id, str(path))
+    # As a folder: a kill leaves a file that goes alone under another name, for good.
+    with TemporaryDirectory() as folder:
+        for name, text in content.texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        for path in content.files:
+            shutil.copy(path, folder)
+        client.log_artifacts(run_id, folder)
     client.set_terminated(run_id, "FAILED" if content.failed else "FINISHED", start_ms)
     return run
 
