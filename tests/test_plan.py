@@ -139,6 +139,7 @@ def test_a_plan_knows_what_is_proved():
         ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "evaluate", 1.5),
         ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "prove", 1.3),
         ({"bounds": {"mean_rtol": 0.005}}, "prove", 2),
+        ({"arm": {"payload_kg": 1, "stiffness_nm_per_rad": 5000}}, "evaluate", 5),
         ({"training": {"snapshots": 25}}, "map", 0.7),
     ],
 )

@@ -42,6 +42,8 @@ _POINT, _POINT_JOINT, _POINT_WEIGHT = 3.5e-7, 1.3e-7, 6e-10
 """Of a network at a point: its statistics, the arm's motion by joint, the network by weight."""
 _TURNED = 3.5
 """Times as much where the tool's angle is measured as well."""
+_LOADED_JOINT = 3.3e-6
+"""The same of an arm that bends under its load, which is solved at each point."""
 _NEURON, _WIDER = 55e3, 1.75
 """Memory of a search for the worst case [bytes], times a power of the hidden neurons."""
 _RUN = 0.1
@@ -150,6 +152,8 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
     asked: Settings = ("evaluation.cube_points", "training.seeds")
     turned = study.task.orientation != "free"
     point = _POINT + _POINT_JOINT * shape.joints * (_TURNED if turned else 1)
+    if study.arm and study.arm.payload_kg:
+        point += _LOADED_JOINT * shape.joints
     jobs, sizes = list[Terms](), list[Terms]()
     for name, one in trained.items():
         weights = one.network.n_parameters(shape.inputs, shape.joints)
