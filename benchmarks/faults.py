@@ -298,10 +298,10 @@ def table(done: dict[str, dict]) -> str:
     if states := kinds["state"]:
         distinct = sum("as" not in trial for trial in states)
         lines += ["", f"The {len(states)} stops left {distinct} different folders; each was tried."]
-    kills = [(t["left"], done.get(t["name"].replace("SIGKILL", "state"))) for t in kinds["SIGKILL"]]
-    pairs = [(left, stop["left"]) for left, stop in kills if stop]
+    pairs = [(t, done.get(t["name"].replace("SIGKILL", "state"))) for t in kinds["SIGKILL"]]
+    pairs = [(kill, stop) for kill, stop in pairs if stop and kill["commit"] == stop["commit"]]
     if pairs:
-        same = sum(left == stop for left, stop in pairs)
+        same = sum(kill["left"] == stop["left"] for kill, stop in pairs)
         lines.append(f"Of {len(pairs)} kills {same} left what the stop at the same operation did.")
     bad = [t for t in done.values() if t["wrong"] and "as" not in t]
     lines += ["", *(f"- `{t['name']}` ({t['hit']}): {t['wrong']}" for t in bad)]
