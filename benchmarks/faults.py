@@ -278,7 +278,10 @@ def campaign(options, folder, shim, log, done) -> None:
             return at % n == k - 1 and bool(only.search(f"state/{step}/{at}"))
 
         if any(map(wanted, range(operations))) and time.monotonic() < end:
-            of["state"] += stops.each(step, wanted, done, tell) - operations
+            counted = stops.each(step, wanted, done, tell)
+            of["state"] += counted - operations
+            if last := done.get(f"state/{step}/{counted - 1}"):
+                tell(last)  # how many there are is known now
 
 
 def table(done: dict[str, dict]) -> str:
