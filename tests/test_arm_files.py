@@ -122,6 +122,7 @@ def test_a_joint_without_limits_is_fine_until_a_study_needs_them(tmp_path):
         ('<child link="upper"/>', "<child/>", "'j1' names no child link"),
         (LAST, fixed("tip", "base"), "loop"),
         (LAST, fixed("base", "tip"), "'tip' hangs from joint 'flange' and from joint 'l'"),
+        (LAST, "".join(f'<joint name="l{i}"/>' for i in range(30_000)) + LAST, "30003 joints"),
         (LAST, '<link name="table"/>' + LAST,
          r"2 links .* .base, table.*--base-link.*robot\.base_link"),
         (LAST, '<link name="cam"/>' + fixed("base", "cam"),

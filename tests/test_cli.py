@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from measured_arms import recorded
 from typer.testing import CliRunner
 
+from iksamples import cli
 from iksamples.cli import app
 from iksamples.cli.common import say
 from iksamples.errors import IksamplesError
@@ -168,6 +169,13 @@ def test_a_disk_that_cannot_be_written_is_a_line(command, tmp_path):
     done = run(command, "samples", "config/config.yaml", "-o", tmp_path / "taken/samples")
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
     assert done.stderr.startswith(f"Error: {tmp_path}/taken")
+
+
+def test_what_memory_does_not_hold_is_a_line(monkeypatch, capsys):
+    monkeypatch.setattr(cli, "app", lambda: bytearray(2**60))
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert re.fullmatch(r"Error: out of memory\..*\n", capsys.readouterr().err)
 
 
 def test_a_set_that_is_not_in_the_study_is_named(command, tmp_path):

@@ -1,16 +1,19 @@
 """Samples from elsewhere: every usual form of a table is read right or refused in a line."""
 
 import gzip
+import time
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyarrow import parquet
 
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import read_samples
+from iksamples.samples.measured import name_and_unit, read_samples
 from iksamples.samples.record import grid_samples, record_samples
 from iksamples.samples.table import read_table
 from iksamples.study import parse_study
@@ -265,3 +268,20 @@ def test_numbers_come_back_to_the_last_bit(tmp_path_factory, values, form):
     path.write_text(f"a{separator}b\n{''.join(rows)}0{point}5{separator}0{point}5\n")
     found = read_table(path).numbers([0, 1])
     np.testing.assert_array_equal(found[:-1], np.array([values, values]).T)
+
+
+def test_long_cells_and_names_take_no_time(tmp_path):
+    (tmp_path / "s.csv").write_text(f"x_mm\n1\n{'9' * 20_000}x\n")
+    began = time.process_time()
+    with pytest.raises(IksamplesError, match="which is no plain number"):
+        read_table(tmp_path / "s.csv").numbers([0])
+    assert name_and_unit("x" + "(" * 20_000)[1] == ""
+    assert time.process_time() - began < 2  # twelve seconds where each sign is tried again
+
+
+def test_a_small_file_of_more_rows_than_memory_is_refused(tmp_path):
+    zeros = pa.array(np.zeros(30_000_000, np.int8))
+    parquet.write_table(pa.table({"x_mm": zeros}), tmp_path / "s")
+    assert (tmp_path / "s").stat().st_size < 1_000_000
+    with pytest.raises(IksamplesError, match="30000000 rows of 1 columns"):
+        read_table(tmp_path / "s")

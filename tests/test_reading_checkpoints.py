@@ -134,18 +134,19 @@ def test_several_networks_in_a_checkpoint_are_told_apart(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["pt", "safetensors"])
-def test_numbers_in_names_are_numbers(tmp_path, suffix):
+@pytest.mark.parametrize("name", ["fc", f"a{'7' * 5000}.fc"])
+def test_numbers_in_names_are_numbers(tmp_path, suffix, name):
     """safetensors has no order of its own, and 10 sorts before 2 as text."""
     state = {}
     for k in range(1, 13):
         layer = torch.nn.Linear(4 if k > 1 else 3, 4 if k < 12 else 3)
-        state |= {f"fc{k}.{part}": value for part, value in layer.state_dict().items()}
+        state |= {f"{name}{k}.{part}": value for part, value in layer.state_dict().items()}
     path = tmp_path / f"net.{suffix}"
     torch.save(state, path) if suffix == "pt" else save_file(state, str(path))
     reading = read(path)
     for k, weight in enumerate(reading.network.weights, start=1):
-        np.testing.assert_array_equal(weight[0], state[f"fc{k}.weight"].numpy().T)
-    assert ", tanh, ".join(f"fc{k} (4)" for k in range(1, 12)) in reading.order
+        np.testing.assert_array_equal(weight[0], state[f"{name}{k}.weight"].numpy().T)
+    assert ", tanh, ".join(f"{name}{k} (4)" for k in range(1, 12)) in reading.order
 
 
 def test_an_order_is_known_or_asked_for(rng, tmp_path):

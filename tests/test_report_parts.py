@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lxml import html
 from markupsafe import Markup
 
-from iksamples.errors import one_line
+from iksamples.errors import IksamplesError, one_line
 from iksamples.report import figures, markdown
 from iksamples.report.data import read_benchmarks
 from iksamples.report.figures import lines
@@ -265,6 +265,10 @@ def test_benchmark_files_are_read_job_by_job(tmp_path) -> None:
     assert table["max_rss_mb"].max() == 500.5
     assert table["max_rss_mb"].isna().sum() == 1
     assert read_benchmarks(tmp_path / "none").empty
+    for line in ('{"s": 4.0, "max', "[]", "\xff"):  # a run was killed, or a hand was there
+        (tmp_path / "train.jsonl").write_bytes(line.encode("latin1"))
+        with pytest.raises(IksamplesError, match=r"train\.jsonl: .*Delete it"):
+            read_benchmarks(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     file = Path(results) / FILE
     table = stored_table(file, tuple(RUNS), _RUN)
     n_samples, share = table["n_samples"], table["region_share"]
-    whole = (n_samples >= 0) & (n_samples % 1 == 0)
+    whole = (n_samples >= 0) & (n_samples < 2**53) & (n_samples % 1 == 0)
     sound = len(table) > 0 and whole.all() and ((share > 0) & (share <= 1)).all()
     if not sound:
         raise IksamplesError(f"{file}: not as it was written. Run the study again.")

@@ -20,7 +20,17 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import KINDS, MM_PER_M, Floats, Joint, Kind, SerialChain, assemble, number
+from iksamples.arm.chain import (
+    KINDS,
+    MM_PER_M,
+    Floats,
+    Joint,
+    Kind,
+    SerialChain,
+    assemble,
+    number,
+    require_few,
+)
 from iksamples.errors import IksamplesError
 from iksamples.files import read_bytes
 
@@ -59,6 +69,7 @@ def dh_joints(path: Path, content: bytes) -> list[Joint]:
         )
     if not rows:
         raise IksamplesError("no joints in the table.")
+    require_few(len(rows))
     joints = [_joint(i, row, convention == "modified") for i, row in enumerate(rows, 1)]
     names = [joint.name for joint in joints]
     for name in names:

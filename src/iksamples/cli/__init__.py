@@ -38,6 +38,9 @@ def main() -> None:
         remedy = _REMEDIES.get(error.errno or 0, "")
         say(f"Error: {where}{in_a_line(error)}.{remedy}", err=True)
         sys.exit(2)
+    except MemoryError:
+        say("Error: out of memory. Give it less at once, or a machine with more.", err=True)
+        sys.exit(2)
     except IksamplesError as error:
         for line in str(error).splitlines():
             say(f"Error: {line}", err=True)

@@ -202,19 +202,17 @@ def read_benchmarks(folder: Path) -> pd.DataFrame:
     Raises:
         IksamplesError: A file holds something else.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for file in sorted(folder.rglob("*.jsonl")):
         step = file.relative_to(folder).parts[0].removesuffix(".jsonl").replace("_", " ")
         try:
-            lines = file.read_text(encoding="utf-8").splitlines()
-            found = [json.loads(line, parse_int=float) for line in lines if line.strip()]
-            rows += [{"step": step, **one} for one in found]
-        except (ValueError, TypeError, RecursionError) as error:
+            for line in filter(str.strip, file.read_text(encoding="utf-8").splitlines()):
+                said = json.loads(line, parse_int=float)
+                values = [said.get(name) for name in ("s", "cpu_time", "max_rss")]
+                rows.append([step, *(one if isinstance(one, float) else None for one in values)])
+        except (ValueError, AttributeError, RecursionError) as error:
             raise IksamplesError(
                 f"{file}: not what Snakemake measured ({in_a_line(error)}). Delete it."
             ) from None
-    table = pd.DataFrame(rows, columns=["step", "s", "cpu_time", "max_rss"])
-    table.columns = pd.Index(["step", "s", "cpu_s", "max_rss_mb"])
-    numbers = ["s", "cpu_s", "max_rss_mb"]
-    table[numbers] = table[numbers].apply(pd.to_numeric, errors="coerce")
-    return table
+    table = pd.DataFrame(rows, columns=["step", "s", "cpu_s", "max_rss_mb"])
+    return table.astype(dict.fromkeys(["s", "cpu_s", "max_rss_mb"], float))

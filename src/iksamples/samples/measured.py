@@ -205,7 +205,7 @@ def joint_places(names: Sequence[str], units: Sequence[str], inputs: Sequence[st
 def name_and_unit(name: str) -> tuple[str, str]:
     """A name in lower case, and the unit in it, if any: ``x_mm``, ``x [mm]``, ``x (mm)``."""
     match = re.fullmatch(
-        r"(.*?)[\s_/]*[\[(]\s*(\S+)\s*[\])]|(.*)[\s_/](\S+?)", name.strip().lower()
+        r"(.*?)[\s_/]*[\[(]\s*(\S+)\s*[\])]|(.*)[\s_/](\S+?)", name.strip().lower()[:500]
     )
     if match:
         base, unit = match[1] or match[3] or "", match[2] or match[4]

@@ -17,8 +17,8 @@ from iksamples.errors import IksamplesError, in_a_line
 from iksamples.files import require_plain
 
 
-_MOST_BYTES = 500_000_000
-_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_MOST_BYTES, _MOST_CELLS = 500_000_000, 20_000_000
+_NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?")
 _MARKS = (b"\xff\xfe", b"\xfe\xff")
 
@@ -119,11 +119,22 @@ def _content(path: Path) -> bytes:
     return content
 
 
+def _require_room(path: Path, n_rows: int, n_columns: int) -> None:
+    """Stops at a table that would take gigabytes, which a small file can hold if packed well."""
+    if n_rows * n_columns > _MOST_CELLS:
+        raise IksamplesError(
+            f"{path}: {n_rows} rows of {n_columns} columns; no more than {_MOST_CELLS // 10**6} "
+            "million values are read. Take every so many rows."
+        )
+
+
 def _parquet(path: Path, content: bytes) -> Table:
     import pyarrow as pa
     from pyarrow import parquet
 
     try:
+        about = parquet.read_metadata(io.BytesIO(content))
+        _require_room(path, about.num_rows, about.num_columns)
         table = parquet.read_table(io.BytesIO(content))
     except (OSError, pa.ArrowException) as error:
         raise IksamplesError(f"{path}: not a whole Parquet file ({in_a_line(error)}).") from None
@@ -147,6 +158,7 @@ def _text(path: Path, text: str) -> Table:
         raise IksamplesError(
             f"{path}: no names above the columns; write a first line such as x_mm,y_mm,z_mm,..."
         )
+    _require_room(path, len(kept), len(names))
     split = [(n, _split(line, separator)) for n, line in kept]
     split = [(n, row) for n, row in split if "".join(row).strip()]  # empty rows of a spreadsheet
     rows = [row for _, row in split]

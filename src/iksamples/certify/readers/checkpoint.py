@@ -351,7 +351,10 @@ def _order(layers: Mapping[str, Layer], n_inputs: int, n_outputs: int) -> list[s
     Raises:
         IksamplesError: There is none, or more than one.
     """
-    numbers = {name: tuple(map(int, re.findall(r"\d+", name))) for name in layers}
+    # By length first, as numbers are; int() takes no more than some digits.
+    numbers = {
+        name: tuple((len(one), one) for one in re.findall(r"0*(\d+)", name)) for name in layers
+    }
     texts = {name: re.sub(r"\d+", "#", name) for name in layers}
     alike = sorted(layers, key=numbers.__getitem__)
     if len(set(texts.values())) == 1 and len(set(numbers.values())) == len(layers):
