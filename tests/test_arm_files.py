@@ -26,6 +26,15 @@ ORDINARY = """<robot name="arm">
 </robot>
 """
 LAST = "</robot>"
+SNAKE = (
+    '<robot name="snake"><link name="l0"/>'
+    + "".join(
+        f'<link name="l{i + 1}"/><joint name="j{i}" type="continuous"><parent link="l{i}"/>'
+        f'<child link="l{i + 1}"/><origin xyz="0.1 0 0"/><axis xyz="0 0 1"/></joint>'
+        for i in range(33)
+    )
+    + LAST
+)
 UPPER = '<link name="upper"/>'
 XML = '<?xml version="1.0" encoding="%s"?>'
 
@@ -123,6 +132,7 @@ def test_a_joint_without_limits_is_fine_until_a_study_needs_them(tmp_path):
         (LAST, fixed("tip", "base"), "loop"),
         (LAST, fixed("base", "tip"), "'tip' hangs from joint 'flange' and from joint 'l'"),
         (LAST, "".join(f'<joint name="l{i}"/>' for i in range(30_000)) + LAST, "30003 joints"),
+        (ORDINARY, SNAKE, "33 moving joints"),
         (LAST, '<link name="table"/>' + LAST,
          r"2 links .* .base, table.*--base-link.*robot\.base_link"),
         (LAST, '<link name="cam"/>' + fixed("base", "cam"),

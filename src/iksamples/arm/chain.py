@@ -347,6 +347,11 @@ def assemble(joints: Iterable[Joint]) -> SerialChain:
         frame = frame @ joint.after
     if not names:
         raise IksamplesError("no moving joint between the base and the tool.")
+    if len(names) > 32:
+        raise IksamplesError(
+            f"{len(names)} moving joints between the base and the tool; no more than 32 are read. "
+            "Choose another base or tip link, or make some joints fixed."
+        )
     lower, upper = np.array(limits).T
     chain = SerialChain(
         tuple(names),
