@@ -285,3 +285,6 @@ def test_a_small_file_of_more_rows_than_memory_is_refused(tmp_path):
     assert (tmp_path / "s").stat().st_size < 1_000_000
     with pytest.raises(IksamplesError, match="30000000 rows of 1 columns"):
         read_table(tmp_path / "s")
+    (tmp_path / "s").write_text("x_mm\n1\n2\n3\n")
+    with pytest.raises(IksamplesError, match="3 rows of 1 columns; no more than 2 rows"):
+        read_table(tmp_path / "s", most_rows=2)

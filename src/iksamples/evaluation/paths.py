@@ -23,6 +23,7 @@ from iksamples.study import (
 from iksamples.task import Task
 
 
+_MOST_WAYPOINTS = 100_000  # as of the other shapes
 _INSET = 6
 """Rectangles lie a sixth of the workspace from its sides."""
 
@@ -178,4 +179,4 @@ def _from_file(file: str, task: Task) -> Waypoints:
 
 @cache
 def _table(file: str) -> Table:
-    return read_table(file)
+    return read_table(file, _MOST_WAYPOINTS)

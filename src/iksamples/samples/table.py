@@ -74,12 +74,16 @@ class Table:
         return found.reshape(len(cells), len(columns))
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, most_rows: int = _MOST_CELLS) -> Table:
     """Reads a table.
 
     Text may be gzipped, in UTF-8 or UTF-16, with or without a byte order mark; its columns are
     separated by semicolons, tabs, commas, bars or spaces, whichever the line of names has; lines
     that begin with ``#`` or ``%`` are comments, and names may stand in the last one above the rows.
+
+    Args:
+        path: The file.
+        most_rows: Rows of the largest that is read.
 
     Raises:
         IksamplesError: One line: not such a file, no names, no rows, or a row with more or fewer
@@ -88,7 +92,7 @@ def read_table(path: str | Path) -> Table:
     path = Path(path)
     content = _content(path)
     if content.startswith(b"PAR1"):
-        return _parquet(path, content)
+        return _parquet(path, content, most_rows)
     if content.startswith(b"PK"):
         raise IksamplesError(f"{path}: a spreadsheet or an archive; save it as CSV.")
     try:
@@ -101,7 +105,7 @@ def read_table(path: str | Path) -> Table:
         raise IksamplesError(f"{path}: the file is empty.")
     if text.lstrip()[0] in "{[<":
         raise IksamplesError(f"{path}: no table (it looks like JSON or HTML); save it as CSV.")
-    return _text(path, text)
+    return _text(path, text, most_rows)
 
 
 def _content(path: Path) -> bytes:
@@ -119,22 +123,23 @@ def _content(path: Path) -> bytes:
     return content
 
 
-def _require_room(path: Path, n_rows: int, n_columns: int) -> None:
+def _require_room(path: Path, n_rows: int, n_columns: int, most_rows: int) -> None:
     """Stops at a table that would take gigabytes, which a small file can hold if packed well."""
-    if n_rows * n_columns > _MOST_CELLS:
+    most = min(most_rows, _MOST_CELLS // max(1, n_columns))
+    if n_rows > most:
         raise IksamplesError(
-            f"{path}: {n_rows} rows of {n_columns} columns; no more than {_MOST_CELLS // 10**6} "
-            "million values are read. Take every so many rows."
+            f"{path}: {n_rows} rows of {n_columns} columns; no more than {most} rows are read. "
+            "Take every so many."
         )
 
 
-def _parquet(path: Path, content: bytes) -> Table:
+def _parquet(path: Path, content: bytes, most_rows: int) -> Table:
     import pyarrow as pa
     from pyarrow import parquet
 
     try:
         about = parquet.read_metadata(io.BytesIO(content))
-        _require_room(path, about.num_rows, about.num_columns)
+        _require_room(path, about.num_rows, about.num_columns, most_rows)
         table = parquet.read_table(io.BytesIO(content))
     except (OSError, pa.ArrowException) as error:
         raise IksamplesError(f"{path}: not a whole Parquet file ({in_a_line(error)}).") from None
@@ -143,7 +148,7 @@ def _parquet(path: Path, content: bytes) -> Table:
     return _with_rows(Table(path, tuple(table.column_names), rows))
 
 
-def _text(path: Path, text: str) -> Table:
+def _text(path: Path, text: str, most_rows: int) -> Table:
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     kept = [(n, line) for n, line in lines if line.lstrip()[0] not in "#%"]
     if not kept:
@@ -158,7 +163,7 @@ def _text(path: Path, text: str) -> Table:
         raise IksamplesError(
             f"{path}: no names above the columns; write a first line such as x_mm,y_mm,z_mm,..."
         )
-    _require_room(path, len(kept), len(names))
+    _require_room(path, len(kept), len(names), most_rows)
     split = [(n, _split(line, separator)) for n, line in kept]
     split = [(n, row) for n, row in split if "".join(row).strip()]  # empty rows of a spreadsheet
     rows = [row for _, row in split]
