@@ -285,12 +285,6 @@ MOST_METRES = 1e4
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
-def require_few(n_joints: int) -> None:
-    """Stops at a file of more joints than an arm has, before anything is worked out of them."""
-    if n_joints > 500:
-        raise IksamplesError(f"{n_joints} joints; no more than 500 are read.")
-
-
 @dataclass(frozen=True, eq=False)
 class Joint:
     """A joint of a file, and how it sits between its neighbours.

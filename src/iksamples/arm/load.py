@@ -20,17 +20,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import (
-    KINDS,
-    MM_PER_M,
-    Floats,
-    Joint,
-    Kind,
-    SerialChain,
-    assemble,
-    number,
-    require_few,
-)
+from iksamples.arm.chain import KINDS, MM_PER_M, Floats, Joint, Kind, SerialChain, assemble, number
 from iksamples.errors import IksamplesError
 from iksamples.files import read_bytes
 
@@ -69,7 +59,10 @@ def dh_joints(path: Path, content: bytes) -> list[Joint]:
         )
     if not rows:
         raise IksamplesError("no joints in the table.")
-    require_few(len(rows))
+    from iksamples.arm.urdf import MOST_JOINTS
+
+    if len(rows) > MOST_JOINTS:
+        raise IksamplesError(f"{len(rows)} joints; no more than {MOST_JOINTS} are read.")
     joints = [_joint(i, row, convention == "modified") for i, row in enumerate(rows, 1)]
     names = [joint.name for joint in joints]
     for name in names:

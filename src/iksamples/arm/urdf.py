@@ -11,11 +11,12 @@ from xml.parsers import expat
 
 import numpy as np
 
-from iksamples.arm.chain import KINDS, Floats, Joint, Kind, number, require_few, roll_pitch_yaw
+from iksamples.arm.chain import KINDS, Floats, Joint, Kind, number, roll_pitch_yaw
 from iksamples.errors import IksamplesError
 
 
 _DEEPEST = 100
+MOST_JOINTS = 500
 
 
 @dataclass
@@ -51,7 +52,8 @@ def urdf_joints(content: bytes, base_link: str | None, tip_link: str | None) -> 
     if robot.tag != "robot":
         raise IksamplesError(f"a file of <{robot.tag}>, not of <robot>: not a URDF.")
     links = _names(robot, "link")
-    require_few(len(robot.all("joint")))
+    if (n := len(robot.all("joint"))) > MOST_JOINTS:
+        raise IksamplesError(f"{n} joints; no more than {MOST_JOINTS} are read.")
     joints = dict(zip(_names(robot, "joint"), robot.all("joint"), strict=True))
     if not links:
         macros = [child.tag for child in robot.children if ":" in child.tag]
