@@ -1,6 +1,7 @@
 """Samples from elsewhere: every usual form of a table is read right or refused in a line."""
 
 import gzip
+import io
 import time
 from dataclasses import replace
 
@@ -277,6 +278,14 @@ def test_long_cells_and_names_take_no_time(tmp_path):
         read_table(tmp_path / "s.csv").numbers([0])
     assert name_and_unit("x" + "(" * 20_000)[1] == ""
     assert time.process_time() - began < 2  # twelve seconds where each sign is tried again
+
+
+def test_a_column_whose_name_is_no_text_is_refused(tmp_path):
+    whole = io.BytesIO()
+    parquet.write_table(pa.table({"x_mm": [1.0]}), whole, store_schema=False)
+    (tmp_path / "s").write_bytes(whole.getvalue().replace(b"x_mm", b"x\xff\xffm"))
+    with pytest.raises(IksamplesError, match="not a whole Parquet file"):
+        read_table(tmp_path / "s")
 
 
 def test_a_small_file_of_more_rows_than_memory_is_refused(tmp_path):

@@ -192,6 +192,13 @@ def test_rows_that_are_no_runs_are_not_read(results, column, value):
         read_runs(results)
 
 
+def test_errors_on_an_unknown_path_are_no_runs(results):
+    file = results / "network" / "grid2" / "errors.parquet"
+    pd.read_parquet(file).replace({"region": {"heart": "hart"}}).to_parquet(file)
+    with pytest.raises(IksamplesError, match=r"grid2: errors on a path 'hart'"):
+        collect(make_study(), results)
+
+
 def test_bounds_stand_beside_the_workspace_alone(results):
     certify(results)
     bounded = collect(make_study(), results).dropna(subset="sup_upper_mm")

@@ -129,6 +129,12 @@ def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
     trained = cell.method in networks(study)
     errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
+    strange = set(errors["region"]) - {CUBE, *study.evaluation.paths}
+    if strange:
+        raise IksamplesError(
+            f"{cell.folder}: errors on a path '{min(strange)}', which the study does not have. Run "
+            "the study again."
+        )
     finite = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
     failed = np.where(finite, "", _NO_ANSWER)
     if "failed" in errors:

@@ -141,7 +141,7 @@ def _parquet(path: Path, content: bytes, most_rows: int) -> Table:
         about = parquet.read_metadata(io.BytesIO(content))
         _require_room(path, about.num_rows, about.num_columns, most_rows)
         table = parquet.read_table(io.BytesIO(content))
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:  # a name that is no UTF-8
         raise IksamplesError(f"{path}: not a whole Parquet file ({in_a_line(error)}).") from None
     columns = [column.to_pylist() for column in table.columns]
     rows = list(zip(*columns, strict=True))
