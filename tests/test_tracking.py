@@ -223,7 +223,7 @@ def test_every_variant_is_a_curve(small: Study, results: list[Cell], uri: str) -
         members.loc[0, "diverged"] = True
         members.to_parquet(folder / "members.parquet")
         key = {"method": "wide", "label": cell.label, "n_samples": cell.samples.n_samples}
-        key |= {"verified": True, "mean_lower_mm": 0.0, "mean_upper_mm": 1e6}
+        key |= {"complete": True, "verified": True, "mean_lower_mm": 0.0, "mean_upper_mm": 1e6}
         proofs += [{**key, "seed": s, "sup_lower_mm": 1.0, "sup_upper_mm": 1e4 + s} for s in SEEDS]
     frame = pd.DataFrame(proofs, columns=list(CERTIFICATES))
     frame.to_csv(results[0].results / "wide" / "certificates.csv", index=False)
