@@ -341,6 +341,12 @@ def test_an_unknown_path_leaves_no_file(small: Study, results: list[Cell], tmp_p
     assert not list((tmp_path / "out").iterdir())
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a device of Linux")
+def test_a_full_disk_is_said_by_the_system(small: Study, results: list[Cell]) -> None:
+    with pytest.raises(OSError, match="No space left"):
+        record_path(small, "heart", results, "/dev/full")
+
+
 @given(st.lists(st.floats(0, 100), min_size=1, max_size=9, unique=True), st.randoms())
 def test_median_seed(means: list[float], random: object) -> None:
     table = pd.DataFrame(

@@ -37,12 +37,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         unfinished.chmod(0o666 & ~_umask())
         unfinished.replace(path)
     except Exception as error:
-        # Some writers do not name the file, and Rerun says nothing but this.
         number = getattr(error, "errno", None)
-        if "File-writer thread" in str(error):
-            number = errno.EIO
         if number is None or getattr(error, "filename", None):
             raise
+        # Some writers do not name the file.
         raise OSError(number, os.strerror(number), str(path)) from error
     finally:
         unfinished.unlink(missing_ok=True)

@@ -269,12 +269,16 @@ def _opened(
     )
     # Two recordings of the same results are to hold the same, whatever the clock says.
     rr.set_log_time_enabled(False, recording=recording)
-    recording.save(file, default_blueprint=blueprint)
+    # Rerun's own writer may wait for ever on a full disk.
+    stream = rr.binary_stream(recording)
+    recording.send_blueprint(blueprint, make_active=False, make_default=True)
     recording.send_recording_name(f"{study.name}: {path_name}")
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     yield recording
-    recording.flush()
+    written = stream.read()
+    assert written is not None
+    file.write_bytes(written)
     recording.disconnect()
 
 
