@@ -118,6 +118,12 @@ def test_bounds_are_rounded_outward(value: float, digits: int) -> None:
     assert float(at_least) <= 100 * share * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("share", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("rounding", ["", "up", "down"])
+def test_a_share_that_is_not_finite_is_a_dash(share: float, rounding: str) -> None:
+    assert markdown.percent(share, 1, rounding) == "–"
+
+
 def test_a_table_keeps_its_columns() -> None:
     frame = pd.DataFrame(
         {"Name": ["a|b", Markup("**c**")], "n": [1, 2], "|x|": [0.5, float("nan")]}, dtype=object

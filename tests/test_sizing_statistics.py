@@ -153,3 +153,20 @@ def test_a_pair_that_diverged_on_both_sides_says_nothing(rng):
     assert table["n_pairs"].item() == 1
     assert np.isnan(table["ratio_low"].item())
     assert compare(line({8: [np.inf]}), line({8: [np.inf]}), rng).empty
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8])
+@pytest.mark.parametrize(
+    ("first", "second"), [(1.0, np.inf), (np.inf, 1.0), (0.0, np.inf), (0.0, 0.0), (1.0, 0.0)]
+)
+def test_there_is_no_share_of_an_error_that_is_not_finite(rng, n, first, second):
+    """Nor of none; half the pairs of an even number are enough to spoil their median."""
+    sound = [] if n % 2 else [1.0] * n
+    ours, theirs = [first] * n + sound, [second] * n + sound
+    table = compare(line({8: ours}), line({8: theirs}), rng)
+    assert table[["ratio", "ratio_low", "ratio_high"]].isna().to_numpy().all()
+
+
+def test_a_seed_that_diverged_leaves_the_median_of_the_others(rng):
+    table = compare(line({8: [1.0] * 7}), line({8: [2.0] * 4 + [np.inf] * 3}), rng)
+    assert table[["ratio", "ratio_low", "ratio_high"]].to_numpy().tolist() == [[0.5, 0, 0.5]]

@@ -168,8 +168,9 @@ def compare(
 
     Returns:
         One row per number of samples that both have: n_samples, n_pairs, ratio (median over seeds
-        of the error divided by the other's), ratio_low and ratio_high (95 % interval; NaN with too
-        few seeds), better (share of the seeds with the smaller error).
+        of the error divided by the other's; NaN where that is of an infinite error),
+        ratio_low and ratio_high (95 % interval; NaN with too few seeds), better (share of the seeds
+        with the smaller error).
     """
     import pandas as pd
 
@@ -180,12 +181,14 @@ def compare(
         )
         if not len(first):
             continue
-        with np.errstate(divide="ignore", invalid="ignore"):  # an exact inverse may have none
-            ratio = first / second
         resampled: Floats | list[float] = []
-        if len(ratio) >= FEWEST_SEEDS:
-            resampled = np.median(ratio[draws(len(ratio), rng)], axis=1)
-        middle = interval(float(np.median(ratio)), resampled)
+        with np.errstate(divide="ignore", invalid="ignore"):  # an exact inverse may have none
+            # Below all others, but no median: 0 would be said to be a share of it.
+            ratio = np.where(np.isinf(second), -np.inf, first / second)
+            if len(ratio) >= FEWEST_SEEDS:
+                resampled = np.median(ratio[draws(len(ratio), rng)], axis=1)
+            value, low, high = interval(float(np.median(ratio)), resampled)
+        middle = (value, np.maximum(low, 0.0), high) if np.isfinite(value) else (np.nan,) * 3
         better = float(np.mean(first < second))
         records.append((int(n), len(ratio), *middle, better))
     columns = ["n_samples", "n_pairs", "ratio", "ratio_low", "ratio_high", "better"]

@@ -81,7 +81,8 @@ def answer(data: ReportData) -> dict[str, Any]:
 
 def comparisons(data: ReportData) -> dict[str, Any]:
     """Every method and design against the study's own network, seed by seed."""
-    if data.answer is None or not data.answer.comparisons:
+    compared = data.answer.comparisons if data.answer else []
+    if not np.isfinite([one.ratio.value for one in compared]).any():
         return {}
     rows = [
         {
@@ -92,7 +93,7 @@ def comparisons(data: ReportData) -> dict[str, Any]:
             "n": one.n_samples,
             "ratio": one.ratio,
         }
-        for one in data.answer.comparisons
+        for one in compared
     ]
     keys = ["method", "design", "other", "on"]
     table = pd.DataFrame(rows, dtype=object)
@@ -244,9 +245,9 @@ def _design(data: ReportData, design: str) -> dict[str, str]:
 
 
 def _ratio(ratio: Any) -> str:
-    """A ratio in per cent with its interval."""
+    """A ratio in per cent with its interval; a dash where an error is not finite."""
     if not np.isfinite(ratio.value):
-        return ""
+        return "–"
     digits = 0 if ratio.value > 0.1 else 1
     shown = number(100 * ratio.value, digits)
     if not ratio.known:

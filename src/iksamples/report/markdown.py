@@ -76,7 +76,9 @@ def mm(value: float, digits: int = 2, rounding: str = "") -> str:
 
 
 def percent(share: float, digits: int = 0, rounding: str = "") -> str:
-    """A share in per cent, with just so many decimals."""
+    """A share in per cent, with just so many decimals; a dash where it is not finite."""
+    if not math.isfinite(share):
+        return "–"
     if rounding:
         step = Decimal(1).scaleb(-digits)
         share = (
