@@ -168,7 +168,7 @@ def test_a_disk_that_cannot_be_written_is_a_line(command, tmp_path):
     (tmp_path / "taken").write_text("a file where a folder is to be")
     done = run(command, "samples", "config/config.yaml", "-o", tmp_path / "taken/samples")
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert done.stderr.startswith(f"Error: {tmp_path}/taken")
+    assert done.stderr.startswith(f"Error: cannot write {tmp_path}/taken")
 
 
 def test_what_memory_does_not_hold_is_a_line(monkeypatch, capsys):

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from iksamples.errors import IksamplesError
+from iksamples.errors import IksamplesError, UnwritableError
 from iksamples.files import (
     checked,
     digest_file,
@@ -218,12 +218,19 @@ def test_a_disk_that_takes_no_more_is_said_in_a_line_whoever_writes(tmp_path, wr
     done = subprocess.run(run, capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     said = [line for line in done.stderr.splitlines() if "Error" in line or "Traceback" in line]
-    assert said[-1].startswith(f"Error: {tmp_path / 'result'}: ")
+    assert said[-1].startswith(f"Error: cannot write {tmp_path / 'result'}: ")
     assert "Make room" in said[-1]
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_takes_no_files_is_named():
-    with pytest.raises(OSError, match="/proc/no"), kept_file("/proc/no/table.csv") as file:
+    with pytest.raises(UnwritableError, match="/proc/no"), kept_file("/proc/no/table.csv") as file:
         file.write_text("never")
+
+
+def test_what_cannot_be_read_is_not_said_to_be_unwritable(tmp_path):
+    """Though it lies beside what is written."""
+    with pytest.raises(FileNotFoundError), kept_file(tmp_path / "table.csv") as file:
+        file.write_bytes((tmp_path / "runs.csv").read_bytes())
+    assert not list(tmp_path.iterdir())

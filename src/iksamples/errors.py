@@ -1,4 +1,4 @@
-"""The one exception that is meant for people, and text of others as part of a line."""
+"""The exceptions that are meant for people, and text of others as part of a line."""
 
 import re
 
@@ -18,6 +18,10 @@ class IksamplesError(Exception):
     def __init__(self, message: str) -> None:
         """Keeps the message: lines that steer no terminal and fill no screen."""
         super().__init__("\n".join(_shortened(one_line(line)) for line in message.split("\n")))
+
+
+class UnwritableError(OSError):
+    """The system does not let a file or a folder be written; as ``OSError``, with its name."""
 
 
 def one_line(text: str) -> str:

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from iksamples.errors import IksamplesError, in_a_line
+from iksamples.errors import IksamplesError, UnwritableError, in_a_line
 
 
 if TYPE_CHECKING:
@@ -26,24 +26,46 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     """Gives a temporary name beside a file, and the file's own name once all is written.
 
     Raises:
-        OSError: It cannot be written; the error names it.
+        UnwritableError: It cannot be written; the error names it.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".unfinished-{path.name}")
     try:
-        yield unfinished
-        # Some writers leave a file that only its owner may read.
-        unfinished.chmod(0o666 & ~_umask())
-        unfinished.replace(path)
-    except Exception as error:
-        number = getattr(error, "errno", None)
-        if number is None or getattr(error, "filename", None):
-            raise
-        # Some writers do not name the file.
-        raise OSError(number, os.strerror(number), str(path)) from error
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield unfinished
+            # Some writers leave a file that only its owner may read.
+            unfinished.chmod(0o666 & ~_umask())
+            unfinished.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):  # a folder that cannot be written to: none was begun there
+            unfinished.unlink()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Says of what the system refuses which output it is that cannot be written.
+
+    Args:
+        path: The file or folder that is written. What is read in between has errors of its own.
+
+    Raises:
+        UnwritableError: It cannot be written.
+    """
+    try:
+        yield
+    except Exception as error:
+        number, named = getattr(error, "errno", None), getattr(error, "filename", None)
+        # Some writers do not name the file.
+        if number is None or (named and not _belongs(Path(named), path)):
+            raise
+        raise UnwritableError(number, os.strerror(number), str(path)) from error
+
+
+def _belongs(named: Path, path: Path) -> bool:
+    """Whether a file is one that is written for an output, or a folder on the way to it."""
+    beside = named.parent == path.parent and named.name.startswith(".") and path.name in named.name
+    return beside or named == path or named in path.parents or path in named.parents
 
 
 @contextmanager

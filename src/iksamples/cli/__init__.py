@@ -7,7 +7,7 @@ import typer
 
 from iksamples.cli import ask, certify, fit_arm, next, readings, shown, size, steps
 from iksamples.cli.common import app, say
-from iksamples.errors import IksamplesError, in_a_line
+from iksamples.errors import IksamplesError, UnwritableError, in_a_line
 
 
 _REMEDIES = {
@@ -35,6 +35,8 @@ def main() -> None:
         sys.exit(2)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
+        if isinstance(error, UnwritableError):
+            where = f"cannot write {where}"
         remedy = _REMEDIES.get(error.errno or 0, "")
         say(f"Error: {where}{in_a_line(error)}.{remedy}", err=True)
         sys.exit(2)

@@ -5,6 +5,7 @@ import json
 import math
 import platform
 from collections.abc import Collection, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,7 @@ from iksamples.certify.readers.layers import fed_as, read_as
 from iksamples.certify.readers.network import Proved, Reading, float32_in_words, load_network, prove
 from iksamples.errors import IksamplesError
 from iksamples.export.forms import c_source, onnx_model, plain_network
+from iksamples.files import whole_file
 from iksamples.network import StackedMLP
 from iksamples.results import Cell
 from iksamples.study import Study, read_study
@@ -195,13 +197,14 @@ def export(
         "inputs": [f"{name} [{unit}]" for name, unit in network.inputs],
         "outputs": [f"{name} [{unit}]" for name, unit in network.outputs],
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / ONNX_FILE).write_bytes(model)
-    (folder / C_FILE).write_text(
-        c_source(network, _comment(certificate, proved.values())), encoding="utf-8"
-    )
-    text = json.dumps(certificate, indent=2)
-    (folder / CERTIFICATE).write_text(text + "\n", encoding="utf-8")
+    contents = {
+        ONNX_FILE: model,
+        C_FILE: c_source(network, _comment(certificate, proved.values())).encode(),
+        CERTIFICATE: f"{json.dumps(certificate, indent=2)}\n".encode(),
+    }
+    with ExitStack() as stack:  # all of them or none
+        for name, content in contents.items():
+            stack.enter_context(whole_file(folder / name)).write_bytes(content)
     return certificate
 
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from iksamples.errors import one_line
-from iksamples.files import kept_file, whole_file, write_digest
+from iksamples.files import kept_file, whole_file, write_digest, writing
 from iksamples.report import answers, errors, figures, markdown, paper, run
 from iksamples.report.data import read_report_data
 from iksamples.report.figures import Drawing
@@ -112,17 +112,18 @@ def save(output: Path, readme: str, html: str, pictures: Pictures) -> None:
     """
     draft = output / ".unfinished"
     shutil.rmtree(draft, ignore_errors=True)  # what a kill left
-    draft.mkdir(parents=True)
     try:
-        pictures.save(draft / "figures")
-        (draft / "index.html").write_text(html, encoding="utf-8")
-        (draft / "README.md").write_text(readme, encoding="utf-8")
-        shutil.rmtree(output / "figures", ignore_errors=True)
-        write_digest(draft / "figures", output / "figures")
-        (draft / "figures").replace(output / "figures")
-        for name in ("README.md", "index.html"):
-            with kept_file(output / name) as file:
-                (draft / name).replace(file)
+        with writing(output):
+            draft.mkdir(parents=True)
+            pictures.save(draft / "figures")
+            (draft / "index.html").write_text(html, encoding="utf-8")
+            (draft / "README.md").write_text(readme, encoding="utf-8")
+            shutil.rmtree(output / "figures", ignore_errors=True)
+            write_digest(draft / "figures", output / "figures")
+            (draft / "figures").replace(output / "figures")
+            for name in ("README.md", "index.html"):
+                with kept_file(output / name) as file:
+                    (draft / name).replace(file)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 

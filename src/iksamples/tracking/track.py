@@ -22,7 +22,7 @@ from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.errors import IksamplesError
 from iksamples.export.forms import INPUT, OUTPUT
 from iksamples.export.write import ONNX_FILE, choose, export
-from iksamples.files import kept_file
+from iksamples.files import kept_file, writing
 from iksamples.report.markdown import escaped
 from iksamples.study import Study
 from iksamples.study.sections import without_password
@@ -70,8 +70,10 @@ def track(study: Study, results: Path, output: Path) -> Outcome:
     contents = list(study_runs(study, results, read_runs(results)))
     uri, whose = tracking_uri(study), owner()
     # One owner's runs are looked for and then made: two at once would make them twice.
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(output.with_name(f".{output.name}.lock")), kept_file(output) as manifest:
+    with writing(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(output.with_name(f".{output.name}.lock")).acquire()
+    with lock, kept_file(output) as manifest:
         client = connect(uri)
         with failing_plainly(uri):
             where = experiment(client, study.name)
