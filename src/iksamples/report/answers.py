@@ -82,7 +82,8 @@ def answer(data: ReportData) -> dict[str, Any]:
 def comparisons(data: ReportData) -> dict[str, Any]:
     """Every method and design against the study's own network, seed by seed."""
     compared = data.answer.comparisons if data.answer else []
-    if not np.isfinite([one.ratio.value for one in compared]).any():
+    finite = np.isfinite([one.ratio.value for one in compared])
+    if not finite.any():
         return {}
     rows = [
         {
@@ -124,6 +125,7 @@ def comparisons(data: ReportData) -> dict[str, Any]:
         "largest": pd.DataFrame(largest, dtype=object),
         "wide": pd.DataFrame(wide, dtype=object),
         "changes": pd.DataFrame(changes, dtype=object),
+        "infinite": not finite.all(),
     }
 
 
