@@ -59,9 +59,9 @@ def test_a_writer_that_leaves_half_a_file_is_found(tmp_path: Path) -> None:
     assert moved in files.read_text()
     text = files.read_text().replace(moved, "path.write_bytes(unfinished.read_bytes())")
     reads = "unfinished.exists() and unfinished.read_bytes()"
-    files.write_text(
-        text.replace("    try:\n        yield", f"    try:\n        {reads}\n        yield", 1)
-    )
+    begins = "        with writing(path):\n"
+    assert begins in text
+    files.write_text(text.replace(begins, f"        {reads}\n{begins}"))
     code, trials = campaign(tmp_path, tmp_path / "work", "^(SIGKILL|state)/samples/4[0-4]$")
     half = [trial for trial in trials if trial["wrong"].startswith("half-written: ")]
     assert code == 1

@@ -382,3 +382,22 @@ def test_a_torch_export_is_read(rng, tmp_path):
     points = rng.normal(size=(5, 3))
     expected = net.double()(torch.tensor(points)).detach().numpy()
     np.testing.assert_allclose(found.predict(points)[0], expected, atol=1e-12)
+
+
+CODES_THAT_MEAN_NOTHING = {
+    "format of the input": lambda graph: setattr(graph.input[0].type.tensor_type, "elem_type", 29),
+    "format of the weights": lambda graph: setattr(graph.initializer[0], "data_type", 29),
+    "kind of an attribute": lambda graph: graph.node[1].attribute.add(name="alpha", type=0),
+    "a node without outputs": lambda graph: graph.node[0].ClearField("output"),
+    "a node without inputs": lambda graph: graph.node[0].ClearField("input"),
+}
+
+
+@pytest.mark.parametrize("code", CODES_THAT_MEAN_NOTHING)
+def test_a_code_that_means_nothing_is_refused(rng, tmp_path, code):
+    steps = [("Gemm", "_", "w1", "b1"), ("Tanh",), ("Gemm", "_", "w3", "b3")]
+    spoilt = model(chain(*steps), numbers(rng))
+    CODES_THAT_MEAN_NOTHING[code](spoilt.graph)
+    (tmp_path / "net.onnx").write_bytes(spoilt.SerializeToString())
+    with pytest.raises(IksamplesError):
+        load_network(tmp_path / "net.onnx", (3, 3))

@@ -71,7 +71,11 @@ def read_onnx(path: Path, n_inputs: int) -> FileNetwork:
     versions = {item.domain or "ai.onnx": item.version for item in model.opset_import}
     if versions.get("ai.onnx", _OLDEST) < _OLDEST:
         raise IksamplesError(f"is of ONNX opset {versions['ai.onnx']}; export {_OLDEST} or newer")
-    return _Walk(model.graph, n_inputs).network()
+    try:
+        return _Walk(model.graph, n_inputs).network()
+    # Codes and fields of the file that mean nothing, such as a number format that is none.
+    except (TypeError, ValueError, IndexError, KeyError, AttributeError) as error:
+        raise IksamplesError(f"is not a whole ONNX file ({in_a_line(error)})") from None
 
 
 class _Walk:
