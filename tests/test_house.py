@@ -11,9 +11,9 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "iksamples"
 ORDER = [
     "errors",
+    "columns",
     "files",
     "stats",
-    "columns",
     "region",
     "network",
     "study",

@@ -125,3 +125,12 @@ RUNS: dict[str, Column] = {
     "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
 }
 """``runs.parquet``: one row per variant, set of samples, seed and region."""
+
+TEXTS = {
+    *("claim", "design", "evidence", "failed", "label", "method", "path", "region", "slice"),
+    *("status", "verdict", "where"),
+}
+TRUTHS = {"certified", "complete", "diverged", "pen_up", "verified"}
+COUNTS = {"epoch", "n_points", "n_trained", "point", "seed", "waypoint"}
+"""Columns of tables of results that hold words, true or false, and whole numbers; others: numbers.
+"""

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from iksamples.columns import COUNTS, TEXTS, TRUTHS
 from iksamples.errors import IksamplesError, UnwritableError, in_a_line
 
 
@@ -157,16 +158,6 @@ def require_plain(path: str | Path) -> None:
         )
 
 
-TEXTS = {
-    *("claim", "design", "evidence", "failed", "label", "method", "path", "region", "slice"),
-    *("status", "verdict", "where"),
-}
-TRUTHS = {"certified", "complete", "diverged", "pen_up", "verified"}
-COUNTS = {"epoch", "n_points", "n_trained", "point", "seed", "waypoint"}
-"""Columns of tables of results that hold words, true or false, and whole numbers; others: numbers.
-"""
-
-
 def stored_table(
     path: str | Path, needed: Sequence[str] = (), key: Sequence[str] = (), **how: Any
 ) -> "pd.DataFrame":
@@ -177,7 +168,7 @@ def stored_table(
         needed: Columns that have to be there.
         key: Columns of which no two rows have the same.
         **how: What else its reader needs to know. With ``dtype`` its columns are as that says, else
-            as ``TEXTS``, ``TRUTHS`` and ``COUNTS`` say.
+            as ``columns.TEXTS``, ``TRUTHS`` and ``COUNTS`` say.
 
     Raises:
         IksamplesError: There is none, or it is damaged, no such table, or of another version.

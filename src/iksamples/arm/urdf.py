@@ -17,6 +17,7 @@ from iksamples.errors import IksamplesError
 
 _DEEPEST = 100
 MOST_JOINTS = 500
+"""Of a file, fixed ones too; no arm has so many, and each takes time."""
 
 
 @dataclass
