@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "iksamples"
 ORDER = [
     "errors",
-    "columns",
     "files",
+    "columns",
     "stats",
     "region",
     "network",

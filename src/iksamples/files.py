@@ -9,17 +9,12 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from iksamples.columns import COUNTS, TEXTS, TRUTHS
 from iksamples.errors import IksamplesError, UnwritableError, in_a_line
-
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @contextmanager
@@ -156,75 +151,6 @@ def require_plain(path: str | Path) -> None:
         raise OSError(
             errno.EINVAL, f"{'a folder' if path.is_dir() else 'a pipe or device'}, no file"
         )
-
-
-def stored_table(
-    path: str | Path, needed: Sequence[str] = (), key: Sequence[str] = (), **how: Any
-) -> "pd.DataFrame":
-    """A table of results: CSV where its name says so, else Parquet.
-
-    Args:
-        path: The file.
-        needed: Columns that have to be there.
-        key: Columns of which no two rows have the same.
-        **how: What else its reader needs to know. With ``dtype`` its columns are as that says, else
-            as ``columns.TEXTS``, ``TRUTHS`` and ``COUNTS`` say.
-
-    Raises:
-        IksamplesError: There is none, or it is damaged, no such table, or of another version.
-    """
-    import pandas as pd
-    from pyarrow import parquet
-
-    path = checked(path)
-    try:
-        if path.suffix == ".csv":
-            table: pd.DataFrame = pd.read_csv(path, **how)
-        else:
-            whole = parquet.read_table(path, **how)
-            whole.validate(full=True)  # words that are no UTF-8, which would end a later step
-            table = whole.to_pandas()
-    except FileNotFoundError:
-        raise IksamplesError(
-            f"{path}: there is no such file. Either the name is wrong, or the study is not "
-            "finished: run it to its end first."
-        ) from None
-    # pandas and pyarrow each raise kinds of their own for what is not whole.
-    except Exception as error:
-        raise IksamplesError(
-            f"{path}: cannot be read ({in_a_line(error)}). Run the study again."
-        ) from None
-    missing = [name for name in (*needed, *key) if name not in table.columns]
-    if missing:
-        raise IksamplesError(
-            f"{path}: no column {', '.join(missing)}; it is from another version. Run the study "
-            "again."
-        )
-    strange = [] if "dtype" in how or table.empty else _strange_columns(table)
-    if strange or (key and table.duplicated(list(key)).any()):
-        where = f"column {strange[0]}" if strange else f"two rows of one {', '.join(key)}"
-        raise IksamplesError(f"{path}: not as it was written ({where}). Run the study again.")
-    return table
-
-
-def _strange_columns(table: "pd.DataFrame") -> list[str]:
-    """Names of the columns that do not hold what their names say, or that stand there twice."""
-    from pandas.api import types
-
-    strange = list(table.columns[table.columns.duplicated()])
-    if strange:
-        return strange
-    for name, column in table.items():
-        if name in TEXTS:
-            sound = types.is_string_dtype(column) and not column.isna().any()
-        elif name in TRUTHS:
-            sound = types.is_bool_dtype(column)
-        else:
-            sound = types.is_numeric_dtype(column) and column.dtype != "float16"
-            sound = sound and (name not in COUNTS or bool((column % 1 == 0).all()))
-        if not sound:
-            strange.append(str(name))
-    return strange
 
 
 def stored_object(path: Path, kinds: Mapping[str, type]) -> dict[str, Any]:

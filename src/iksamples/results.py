@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from iksamples.files import stored_table
+from iksamples.columns import stored_table
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
 from iksamples.samples.dataset import SampleSet

@@ -24,9 +24,8 @@ from iksamples.answer.diagnosis import diagnose
 from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast, seen, shape
 from iksamples.answer.sentences import failures, floor_told, headline, of_itself, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
-from iksamples.columns import RUNS
+from iksamples.columns import RUNS, stored_table
 from iksamples.evaluation.errors import CUBE, FLOOR
-from iksamples.files import stored_table
 from iksamples.results import Cell
 from iksamples.stats import Floats, Interval, compare, seeds_needed
 from iksamples.study import NETWORK, Study

@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 
 from iksamples.arm.chain import Floats
-from iksamples.columns import ANGLES, ERRORS, RUNS
+from iksamples.columns import ANGLES, ERRORS, RUNS, stored_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import CUBE, send
 from iksamples.evaluation.paths import count_waypoints
-from iksamples.files import stored_table
 from iksamples.methods.predictor import in_parts
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP

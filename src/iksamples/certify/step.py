@@ -20,9 +20,8 @@ from iksamples.certify.mean import MeanError, certify_coverage, certify_mean
 from iksamples.certify.proof import checked, degrees_down, degrees_up
 from iksamples.certify.search import Certificate, certify_stack
 from iksamples.certify.table import Table
-from iksamples.columns import certificate_columns
+from iksamples.columns import certificate_columns, stored_table
 from iksamples.evaluation.errors import median_seed, networks_over_epochs
-from iksamples.files import stored_table
 from iksamples.methods.grid import tensor_grid
 from iksamples.methods.predictor import NotApplicableError, attempt
 from iksamples.network import StackedMLP

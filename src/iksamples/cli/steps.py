@@ -24,8 +24,9 @@ from iksamples.cli.common import (
     seed_range,
     write_tables,
 )
+from iksamples.columns import stored_table
 from iksamples.errors import IksamplesError
-from iksamples.files import kept_file, stored_table, whole_file
+from iksamples.files import kept_file, whole_file
 
 
 @app.command()

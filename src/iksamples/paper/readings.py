@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from iksamples.columns import stored_table
 from iksamples.errors import IksamplesError
-from iksamples.files import stored_table
 from iksamples.paper.equations import paper_table
 from iksamples.paper.options import QUESTIONS, Option
 from iksamples.study import Readings, Study, parse_study

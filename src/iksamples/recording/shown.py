@@ -10,9 +10,9 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import MM_PER_M, Floats
+from iksamples.columns import stored_table
 from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Reached, median_seed, networks_over_epochs, send
-from iksamples.files import stored_table
 from iksamples.results import Cell
 from iksamples.task import Task
 from iksamples.text import domain, percent, percent_down, percent_up

@@ -13,9 +13,10 @@ from iksamples.answer.answer import Answer, read_answer
 from iksamples.answer.collect import WORKSPACE, read_runs
 from iksamples.answer.replication import Replication, read_replications
 from iksamples.arm.chain import Floats
+from iksamples.columns import stored_table
 from iksamples.errors import IksamplesError, in_a_line
 from iksamples.evaluation.errors import median_seed
-from iksamples.files import stored_object, stored_table
+from iksamples.files import stored_object
 from iksamples.methods.registry import KINDS
 from iksamples.results import Cell, cells
 from iksamples.samples.dataset import SampleSet

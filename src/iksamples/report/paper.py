@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from iksamples.files import stored_table
+from iksamples.columns import stored_table
 from iksamples.paper.equations import AVERAGE_NAMES, kept_reading, scale_mm
 from iksamples.report import figures
 from iksamples.report.data import ReportData

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from iksamples.files import stored_object, stored_table
+from iksamples.columns import stored_table
+from iksamples.files import stored_object
 from iksamples.recorded.learn import ABOUT, JUDGED
 from iksamples.report import answers, figures, markdown, run
 from iksamples.report.data import ReportData, read_report_data
