@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from iksamples.columns import stored_table
 from iksamples.errors import IksamplesError, UnwritableError
 from iksamples.files import (
     checked,
@@ -20,7 +21,6 @@ from iksamples.files import (
     kept_file,
     put_aside,
     stored_object,
-    stored_table,
     whole_file,
     write_digest,
 )
