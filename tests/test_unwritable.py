@@ -73,4 +73,32 @@ def test_it_is_said_in_a_line_and_nothing_is_left(
     assert len([line for line in said if not line.startswith("Note: ")]) == 1, said
     assert said[-1].startswith(f"Error: cannot write {place}")
     assert said[-1].endswith(f": {why}.")
-    assert left(project) - before <= {project / "ok.urdf"}
+    assert left(project) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "-o out/urdf --parameters a.csv",
+        "-o a.urdf --parameters out",
+        "-o a.urdf --parameters out/../a.urdf",
+    ],
+)
+def test_of_two_files_both_are_written_or_neither(
+    project: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
+) -> None:
+    """A folder stands where one is to be, or they are one and the same."""
+    robot = str(Path("config/robots/rrr70.urdf").resolve())
+    monkeypatch.chdir(project)
+    (project / "out/urdf").mkdir(parents=True, exist_ok=True)
+    arguments = f"iksamples fit-arm --robot {robot} --samples records.csv {words}".split()
+    monkeypatch.setattr(sys, "argv", arguments)
+    before = left(project)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert left(project) == before

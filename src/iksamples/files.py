@@ -29,6 +29,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     try:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():  # which would be found at the end, where others are written already
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
             yield unfinished
             # Some writers leave a file that only its owner may read.
             unfinished.chmod(0o666 & ~_umask())

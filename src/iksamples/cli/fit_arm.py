@@ -1,5 +1,6 @@
 """`iksamples fit-arm`: a drawing fitted to records, as a URDF to take away."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from iksamples.cli.common import (
     columns_of,
     say,
 )
+from iksamples.errors import IksamplesError
 from iksamples.files import whole_file
 
 
@@ -55,6 +57,8 @@ def fit_arm(
     from iksamples.recorded.fitted import fit_recording
     from iksamples.study import parse_study
 
+    if parameters and parameters.resolve() == output.resolve():
+        raise IksamplesError(f"--parameters {parameters}: gets the URDF; name another file.")
     assumed = {"deviation_mm": deviation_mm, "deviation_rad": deviation_rad, "noise_mm": noise_mm}
     recorded = {"path": str(samples), "columns": columns_of(column), "assumed": assumed}
     study = parse_study(
@@ -67,12 +71,12 @@ def fit_arm(
     )
     found = fit_recording(study)
     text, tip = fitted_urdf(robot, found.fitted, None, tip_link)
-    with whole_file(output) as file:
+    with ExitStack() as both:
+        file = both.enter_context(whole_file(output))
         file.write_text(text, encoding="utf-8")
         require_agreement(file, found.fitted, None, tip)
-    if parameters is not None:
-        with whole_file(parameters) as file:
-            found.parameters().to_csv(file, index=False)
+        if parameters is not None:
+            found.parameters().to_csv(both.enter_context(whole_file(parameters)), index=False)
     say("\n".join(_told(found)))
     named = f" Its tool is the link {tip}." if tip not in (None, tip_link) else ""
     say(f"\n{output}: written; read back it agrees with the fit.{named}")
