@@ -12,11 +12,9 @@ import pytest
 from measured_arms import recorded
 from typer.testing import CliRunner
 
-from iksamples.certify.step import MOST_INPUTS_OF_A_MEAN
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import MAX_EPOCHS
-from iksamples.plan import plan_study, proofs, require_affordable, resources, steps
+from iksamples.plan import plan_study, require_affordable, resources, steps
 from iksamples.plan.text import in_words, plan_text
 from iksamples.results import sample_sets
 from iksamples.samples.record import record_samples
@@ -125,12 +123,6 @@ def test_every_rule_is_planned():
     for rule, asked in pairs:
         assert asked == rule.removesuffix("_part")
         assert asked in steps.START
-
-
-def test_a_plan_knows_what_is_proved():
-    """Said again there, since to import it would take longer than a plan."""
-    assert proofs._MOST_INPUTS_OF_A_MEAN == MOST_INPUTS_OF_A_MEAN
-    assert proofs._EPOCHS == MAX_EPOCHS
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from iksamples.arm.chain import SerialChain
 from iksamples.certify.step import MAX_BOXES, certify, map_cell
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import MAX_EPOCHS, median_seed, networks_over_epochs, track_paths
+from iksamples.evaluation.errors import median_seed, networks_over_epochs, track_paths
 from iksamples.evaluation.paths import waypoints
 from iksamples.files import kept_file
 from iksamples.network import StackedMLP, write_tensors
@@ -27,7 +27,7 @@ from iksamples.recording.shown import blues, proof_text, read_proof
 from iksamples.region import Region
 from iksamples.results import Cell, cells
 from iksamples.samples.record import grid_samples
-from iksamples.study import Arm, Study, parse_study
+from iksamples.study import MAX_EPOCHS, Arm, Study, parse_study
 from iksamples.task import study_task
 
 

@@ -27,12 +27,8 @@ from iksamples.methods.predictor import NotApplicableError, attempt
 from iksamples.network import StackedMLP
 from iksamples.results import Cell, certified
 from iksamples.samples.dataset import SampleSet
-from iksamples.study import PROVED_TOGETHER, Study
+from iksamples.study import MOST_INPUTS_OF_A_MEAN, PROVED_TOGETHER, Study
 from iksamples.task import Task
-
-
-MOST_INPUTS_OF_A_MEAN = 4
-"""A mean is enclosed cell by cell, and in six inputs a million cells leave it a factor of 2.5."""
 
 
 def certify(

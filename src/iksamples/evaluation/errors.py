@@ -26,7 +26,7 @@ from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP, layers_of, read_tensors
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
-from iksamples.study import Evaluation, Study
+from iksamples.study import MAX_EPOCHS, Evaluation, Study
 from iksamples.task import Task
 
 
@@ -256,9 +256,6 @@ def _measured(evaluation: Evaluation, task: Task, predictor: Predictor) -> dict[
     return {"waypoints": waypoints, "cube": cube, "errors": summarise(waypoints, cube)}
 
 
-MAX_EPOCHS = 60
-
-
 def median_seed(waypoints: pd.DataFrame) -> int:
     """The seed whose mean error on a path is the median over the seeds.
 
@@ -281,7 +278,7 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
         seed: Which seed.
 
     Returns:
-        The epochs, at most 60 of them with the first and the last, shape (epochs,), and a stack
+        The epochs, at most ``MAX_EPOCHS`` with the first and the last, shape (epochs,), and a stack
         with one network per epoch.
 
     Raises:

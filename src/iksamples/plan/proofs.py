@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import iksamples.plan.costs as costs
 from iksamples.plan.costs import Shape
-from iksamples.study import Method, Study
+from iksamples.study import MAX_EPOCHS, MOST_INPUTS_OF_A_MEAN, Method, Study
 
 
 _PROVED = 0.01
@@ -27,10 +27,8 @@ _PLANE_SEARCH, _PLANE_MEAN = 0.15, 0.03
 """Times as much with two inputs."""
 _KINKED_MEAN = 20.0
 """Times as much a mean with four inputs, where the kinks of ReLUs have to be found."""
-_MOST_INPUTS_OF_A_MEAN = 4  # as certify.step has it, which takes longer to import than a plan
 _TABLE, _CELL = 0.05, 7e-4
 """A look-up table, and each of its cells [s]."""
-_EPOCHS = 60  # evaluation.errors.MAX_EPOCHS
 _OF_AN_EPOCH, _LESS_TIGHT = 1e-3, 0.12
 """Worst case at an epoch of a training: at least [s], and as a share of that at its end."""
 
@@ -39,7 +37,7 @@ def network_seconds(study: Study, shape: Shape, method: Method) -> float:
     """Expected time of the proofs of one network [s]."""
     times = _TURNED if study.task.orientation != "free" else 1
     seconds = _PROVED + times * _search(study, shape, method)
-    if shape.inputs > _MOST_INPUTS_OF_A_MEAN:
+    if shape.inputs > MOST_INPUTS_OF_A_MEAN:
         return seconds
     mean = _MEAN[method.training.optimizer] * _roughness(study, shape, method)
     mean *= _weights(shape, method) ** _WIDER_MEAN * shape.joints / 3
@@ -58,7 +56,7 @@ def tables_seconds(study: Study, sizes: Iterable[int]) -> float:
 
 def pictures_seconds(study: Study, shape: Shape, method: Method, n_sets: int) -> float:
     """Expected time of what is proved of a method along its training, for pictures [s]."""
-    epochs = min(_EPOCHS, method.training.snapshots)
+    epochs = min(MAX_EPOCHS, method.training.snapshots)
     each = _OF_AN_EPOCH + _LESS_TIGHT * _search(study, shape, method)
     return n_sets * len(study.evaluation.paths) * epochs * each
 

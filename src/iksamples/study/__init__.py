@@ -7,6 +7,8 @@ here (``iksamples handbook``).
 
 from iksamples.study.arm import Arm, Expected
 from iksamples.study.evaluation import (
+    MAX_EPOCHS,
+    MOST_INPUTS_OF_A_MEAN,
     AnyPath,
     Circle,
     CsvPath,

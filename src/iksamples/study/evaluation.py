@@ -12,6 +12,12 @@ from pydantic import Field
 from iksamples.study.sections import Corner, Name, Pair, Section
 
 
+MOST_INPUTS_OF_A_MEAN = 4
+"""A mean is enclosed cell by cell, and in six inputs a million cells leave it a factor of 2.5."""
+MAX_EPOCHS = 60
+"""Of a training, that pictures and recordings show."""
+
+
 class _Drawn(Section):
     """A path that is drawn by a formula."""
 
