@@ -66,7 +66,8 @@ def finished(folder, rng, **settings):
                 error = 10.0 * abs(k - 1) + 30.0 / m + (method == "bent")
                 row = dict.fromkeys(RUNS, np.nan) | {
                     "method": method, "design": "grid", "label": cell.label, "n_samples": m**3,
-                    "n_trained": m**3, "seed": seed, "failed": "", "region": "workspace",
+                    "n_trained": m**3, "seed": seed, "failed": "", "unproved": "",
+                    "region": "workspace",
                     "error_mean_mm": error / 2, "error_p95_mm": error, "error_p99_mm": error,
                     "error_max_mm": error, "verified": False, "region_share": 1.0, "n_points": 8200,
                 }  # fmt: skip

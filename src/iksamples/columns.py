@@ -72,6 +72,7 @@ CERTIFICATES: dict[str, Column] = {
     "seconds": Column("s", "time of the search"),
     "complete": Column("-", "whether the worst case's bounds met as closely as asked"),
     "verified": Column("-", "whether the separate, outward-rounded checker proved it again"),
+    "failed": Column("-", "why nothing is proved; empty: it is"),
 }
 """``certificates.csv``: one row per network."""
 
@@ -131,12 +132,13 @@ RUNS: dict[str, Column] = {
     "verified": Column("-", "whether the separate checker proved that; empty bounds where not"),
     "mean_lower_mm": Column("mm", "the mean error over the workspace is at least this"),
     "mean_upper_mm": Column("mm", "the mean error over the workspace is at most this"),
+    "unproved": Column("-", "why a proof failed; empty: it did not, or none was tried"),
 }
 """``runs.parquet``: one row per variant, set of samples, seed and region."""
 
 TEXTS = {
     *("claim", "design", "evidence", "failed", "label", "method", "path", "region", "slice"),
-    *("status", "verdict", "where"),
+    *("status", "unproved", "verdict", "where"),
 }
 TRUTHS = {"certified", "complete", "diverged", "pen_up", "verified"}
 COUNTS = {"epoch", "n_points", "n_trained", "point", "seed", "waypoint"}
@@ -165,7 +167,10 @@ def stored_table(
     path = checked(path)
     try:
         if path.suffix == ".csv":
-            table: pd.DataFrame = pd.read_csv(path, **how)
+            # Nothing is a missing number, but a word as any: and so is NA.
+            kinds = {"dtype": dict.fromkeys(TEXTS, str)} | how
+            table: pd.DataFrame = pd.read_csv(path, keep_default_na=False, na_values=[""], **kinds)
+            table = table.fillna({name: "" for name in TEXTS & {*table.columns}})
         else:
             whole = parquet.read_table(path, **how)
             whole.validate(full=True)  # words that are no UTF-8, which would end a later step

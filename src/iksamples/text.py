@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from decimal import ROUND_CEILING, Decimal
 
 from iksamples.study import NETWORK, Method, Network, Robot, Study, Tolerance, Training
@@ -165,3 +166,8 @@ def whole(n: float) -> str:
 def several(n: int, thing: str) -> str:
     """``1 training``, ``20 trainings``."""
     return f"{whole(n)} {thing}{'' if n == 1 else 's'}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

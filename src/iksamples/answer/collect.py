@@ -80,6 +80,7 @@ def collect(study: Study, results: str | Path) -> pd.DataFrame:
     rows = rows.merge(bounds, on=[*_KEYS, "region"], how="left")
     rows["verified"] = rows["verified"].eq(True) & rows["failed"].eq("")
     rows.loc[~rows["verified"], _SUP] = np.nan
+    rows["unproved"] = rows["unproved"].fillna("")
     _require_agreement(rows)
     return rows[list(RUNS)]
 
@@ -93,7 +94,7 @@ def certificates(study: Study, results: str | Path) -> pd.DataFrame:
     frames = []
     for name in certified(study):
         file = Path(results) / name / "certificates.csv"
-        frames.append(stored_table(file, [*_KEYS, "verified"]))
+        frames.append(stored_table(file, [*_KEYS, "verified", "failed"]))
     table = pd.concat(frames or [pd.DataFrame(columns=_KEYS)], ignore_index=True)
     if table.duplicated(_KEYS).any():
         raise IksamplesError(
@@ -176,11 +177,11 @@ def _points_measured(study: Study, where: str) -> int:
 def _bounds(certificates: pd.DataFrame) -> pd.DataFrame:
     """The certificates' columns, ready to be joined to the rows of the workspace."""
     # There are no angles where the tool's orientation is not asked for.
-    table = certificates.reindex(columns=[*_KEYS, *_SUP, *_MEAN, "verified"])
-    table["region"] = WORKSPACE
+    table = certificates.reindex(columns=[*_KEYS, *_SUP, *_MEAN, "verified", "failed"])
+    table = table.rename(columns={"failed": "unproved"}).assign(region=WORKSPACE)
     # A file without any certificate has no types.
     return table.astype(dict.fromkeys([*_SUP, *_MEAN], "float64")).astype(
-        {"verified": "bool", "seed": "int64"}
+        {"verified": "bool", "seed": "int64", "unproved": "str"}
     )
 
 

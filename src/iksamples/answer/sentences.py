@@ -12,6 +12,7 @@ from iksamples.text import (
     described,
     described_on,
     domain,
+    listed,
     millimetres,
     percent,
     percent_down,
@@ -30,6 +31,8 @@ _ASKED = {
     "proved": "For every point of {place} within {limit}",
     "worst": "For all {points} measured {along} {place} within {limit}",
 }
+_REASONS = 5
+"""Why proofs failed is told of so many methods and reasons."""
 _SURE = ", with {sure} that at least {share} of {trials} succeed"
 _SURE_OF_BEST = ", with {sure} that the best of {k} trainings succeeds at least {share} of the time"
 _CLAUSES = {
@@ -119,6 +122,31 @@ def failures(study: Study, variants: Sequence[VariantAnswer]) -> list[str]:
     some = sum(0 < size.n_failed < size.n_seeds for _, size in every)
     also = f", {some} more not of every {trial(study)}" if some else ""
     return [f"{whole} of {len(every)} {what}{also}.", *lines] if lines else []
+
+
+def unproved(runs: pd.DataFrame) -> list[str]:
+    """How many worst errors are proved, and why others are not, though a proof was tried.
+
+    Args:
+        runs: Rows of the study's tidy table (``collect.read_runs``).
+
+    Returns:
+        That, and a line per method and reason, the most frequent five; nothing where none failed.
+    """
+    tried = runs[runs["verified"] | runs["unproved"].ne("")]
+    lost = tried[tried["unproved"].ne("")]
+    lines = []
+    for (method, why), rows in lost.groupby(["method", "unproved"], sort=False):
+        labels = list(rows["label"].unique())
+        asked = (tried["method"].eq(method) & tried["label"].isin(labels)).sum()
+        lines.append((len(rows), f"{method}, {listed(labels)}: {len(rows)} of {asked}: {why}"))
+    lines.sort(key=lambda one: -one[0])
+    told = [line for _, line in lines[:_REASONS]]
+    if more := sum(n for n, _ in lines[_REASONS:]):
+        told.append(f"{several(more, 'other')} for reasons of their own")
+    return (
+        [f"Proved: {len(tried) - len(lost)} of {len(tried)} worst errors.", *told] if told else []
+    )
 
 
 def of_itself(study: Study, rows: pd.DataFrame) -> list[str]:

@@ -85,7 +85,7 @@ def certify_networks(
 
     Returns:
         One row per seed, columns as in ``columns.CERTIFICATES``. A bound that the checker does not
-        prove is missing, and all where the numbers defeat the search, as is said on stderr.
+        prove is missing, and all where the numbers defeat the search; ``failed`` says which it is.
     """
     together = 1 if samples.arms else PROVED_TOGETHER  # each on its own arm
     sound = set(network.finite_rows())
@@ -104,7 +104,7 @@ def joined(files: Sequence[Path], labels: Sequence[str]) -> pd.DataFrame:
         files: The tables (CSV), which are not read as numbers, so that none changes.
         labels: The sets of samples, in the order of the table.
     """
-    tables = [stored_table(file, dtype=str, keep_default_na=False) for file in files]
+    tables = [stored_table(file, dtype=str) for file in files]
     rank = {label: place for place, label in enumerate(labels)}
     whole = pd.concat(tables).reset_index(drop=True)
     order = pd.DataFrame({"label": whole["label"].map(rank), "seed": whole["seed"].astype(int)})
@@ -129,15 +129,15 @@ def _rows(
         "n_samples": samples.n_samples,
         "region_share": samples.region_share,
     }
-    what = f"{method} on {samples.label}"
-    found, why = attempt(what, lambda: _proofs(study, task, samples, answers, seeds[0]))
+    prove = partial(_proofs, study, task, samples, answers, seeds[0])
+    found, why = attempt("the numbers of the proof", prove)
     if found is None and isinstance(answers, StackedMLP) and len(seeds) > 1:
         singly = (answers.select([row]) for row in range(len(seeds)))  # one of them is at fault
         parts = (_rows(study, task, method, samples, one, one.seeds) for one in singly)
         return [row for part in parts for row in part]
     if found is None:
-        print(f"{what}, seed {seeds[0]}: no proof ({why})", file=sys.stderr)
-        found = [{"boxes": 0, "seconds": 0.0, "complete": False, "verified": False}]
+        nothing = {"boxes": 0, "seconds": 0.0, "complete": False, "verified": False}
+        found = [nothing | {"failed": why}]
     return [head | {"seed": seed} | row for seed, row in zip(seeds, found, strict=True)]
 
 
@@ -152,12 +152,12 @@ def _proofs(
         mean = _mean(study, task, chain, answers, row)
         bounds: dict[str, object] = {"sup_lower_mm": lower, "sup_upper_mm": upper}
         boxes, seconds, done = certificate.boxes, certificate.seconds, certificate.complete
-        verified = bool(np.isfinite(upper))
+        why = _unproved(certificate, upper)
         if angles is not None:
             turned, least, most = angles[row]
             bounds |= {"angle_lower_deg": degrees_down(least), "angle_upper_deg": degrees_up(most)}
             boxes, seconds = boxes + turned.boxes, seconds + turned.seconds
-            done, verified = done and turned.complete, verified and bool(np.isfinite(most))
+            done, why = done and turned.complete, why or _unproved(turned, most)
         rows.append(
             {
                 **bounds,
@@ -167,10 +167,17 @@ def _proofs(
                 "boxes": boxes,
                 "seconds": seconds,
                 "complete": done,
-                "verified": verified,
+                "verified": not why,
+                "failed": why,
             }
         )
     return rows
+
+
+def _unproved(found: Certificate, upper: float) -> str:
+    """Why there is no bound, empty where there is one."""
+    who = "separate checker" if np.isfinite(found.upper) else "search"
+    return "" if np.isfinite(upper) else f"the {who} found no finite bound."
 
 
 def _mean(
@@ -372,15 +379,8 @@ def _unsafe(study: Study, task: Task, cell: Cell, seed: int) -> pd.DataFrame:
     )[_unsafe_columns(task)]
 
 
-_TRAINING = (
-    "seed",
-    "epoch",
-    "sup_lower_mm",
-    "sup_upper_mm",
-    "training_mean_mm",
-    "training_max_mm",
-    "complete",
-)
+_BOUNDS = ("sup_lower_mm", "sup_upper_mm")
+_TRAINING = ("seed", "epoch", *_BOUNDS, "training_mean_mm", "training_max_mm", "complete")
 
 
 def _corners(task: Task) -> list[str]:

@@ -5,6 +5,7 @@ from math import ceil
 from iksamples.errors import IksamplesError
 from iksamples.plan.steps import plan_study
 from iksamples.study import Study
+from iksamples.text import listed
 
 
 def require_affordable(study: Study, remedy: str | None = None) -> None:
@@ -23,14 +24,14 @@ def require_affordable(study: Study, remedy: str | None = None) -> None:
         other = f"Make these smaller, or raise budget.memory_gb ({budget.memory_gb:g})."
         raise IksamplesError(
             f"{study.name}: '{large.step}' would take about {_rounded(large.memory_mb / 1000)} GB "
-            f"of memory, mostly by {_listed(large.memory_by)}.\n{remedy or other}"
+            f"of memory, mostly by {listed(large.memory_by)}.\n{remedy or other}"
         )
     if plan.processor_s > 3600 * budget.processor_hours:
         other = f"Make these smaller, or raise budget.processor_hours ({budget.processor_hours:g})."
         raise IksamplesError(
             f"{study.name}: would take about {_rounded(plan.processor_s / 3600)} hours of one "
             f"core, {_rounded(long.seconds / 3600)} for '{long.step}', mostly by "
-            f"{_listed(long.time_by)}.\n{remedy or other}"
+            f"{listed(long.time_by)}.\n{remedy or other}"
         )
 
 
@@ -54,10 +55,6 @@ def resources(study: Study, rule: str) -> dict[str, int]:
 
 _SLOWER = 4
 """Times slower than here a machine may be, before a scheduler ends its job."""
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _rounded(value: float) -> str:

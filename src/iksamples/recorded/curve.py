@@ -29,7 +29,8 @@ def runs_table(records: Iterable[dict[str, Any]]) -> "pd.DataFrame":
     import pandas as pd
 
     plain = {"design": RECORDED, "failed": "", "region": WORKSPACE, "region_share": 1.0}
-    table = pd.DataFrame([plain | {"verified": False} | one for one in records])
+    plain |= {"verified": False, "unproved": ""}
+    table = pd.DataFrame([plain | one for one in records])
     table = table.reindex(columns=list(RUNS))
     table["label"] = table["design"] + table["n_samples"].astype(str)
     table["n_trained"] = table["n_trained"].fillna(table["n_samples"]).astype("int64")

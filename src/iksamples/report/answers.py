@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
+from iksamples.answer.sentences import unproved
 from iksamples.report import figures
 from iksamples.report.data import ReportData
 from iksamples.report.markdown import code, number, percent
@@ -76,6 +77,7 @@ def answer(data: ReportData) -> dict[str, Any]:
         "amounts": _amounts_drawing(data),
         "drawing": _needed_drawing(data),
         "fresh": pd.DataFrame(_fresh(data), dtype=object),
+        "unproved": unproved(data.workspace),
     }
 
 

@@ -33,7 +33,7 @@ def values(data: ReportData) -> dict[str, Any]:
     table["ratio"] = table["error_mean_mm"] / table["paper_error_mm"]
     measured = table[table["error_mean_mm"].notna()]
     spaced = bool(table["spacing_mm"].notna().all())
-    claims = stored_table(results / CLAIMS, keep_default_na=False)
+    claims = stored_table(results / CLAIMS)
     claims.columns = pd.Index(["Claim", "Where", "Verdict", "Number or counter-example"])
     bounds, members = data.table("bounds"), data.table("members")
     path = study.evaluation.paths[data.first_path]

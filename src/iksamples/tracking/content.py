@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from iksamples.answer.collect import WORKSPACE, Variant, variants
+from iksamples.answer.sentences import unproved
 from iksamples.files import checked
 from iksamples.paper.equations import paper_table
 from iksamples.results import Cell, networks
@@ -115,6 +116,7 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
     sound = rows[rows["failed"].eq("")]
     of_seeds = rows.drop_duplicates("seed")
     metrics = [*_errors(sound, n), ("n_failed", float(of_seeds["failed"].ne("").sum()), n)]
+    metrics.append(("n_unproved", float(sound["unproved"].ne("").sum()), n))
     recorded = study.samples.recorded is not None
     trained = variant.method in networks(study) and not recorded
     if trained:
@@ -135,7 +137,7 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
         _variant_name(study, variant),
         "Means over the seeds; `seeds.csv` has the errors [mm] of each, and under `seeds` they are "
         "curves whose step is the seed. The step of a loss is the epoch, of an error the number of "
-        "samples.",
+        f"samples. {' '.join(unproved(sound))}".strip(),
         settings,
         [metric for metric in metrics if np.isfinite(metric[1])],
         {"seeds.csv": rows.to_csv(index=False)},
