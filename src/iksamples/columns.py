@@ -168,9 +168,9 @@ def stored_table(
     try:
         if path.suffix == ".csv":
             # Nothing is a missing number, but a word as any: and so is NA.
-            kinds = {"dtype": dict.fromkeys(TEXTS, str)} | how
-            table: pd.DataFrame = pd.read_csv(path, keep_default_na=False, na_values=[""], **kinds)
-            table = table.fillna({name: "" for name in TEXTS & {*table.columns}})
+            kinds: dict[str, Any] = {"dtype": dict.fromkeys(TEXTS, str)} | how
+            csv = pd.read_csv(path, keep_default_na=False, na_values=[""], **kinds)
+            table: pd.DataFrame = csv.fillna({name: "" for name in TEXTS & {*csv.columns}})
         else:
             whole = parquet.read_table(path, **how)
             whole.validate(full=True)  # words that are no UTF-8, which would end a later step

@@ -138,7 +138,7 @@ def unproved(runs: pd.DataFrame) -> list[str]:
     lines = []
     for (method, why), rows in lost.groupby(["method", "unproved"], sort=False):
         labels = list(rows["label"].unique())
-        asked = (tried["method"].eq(method) & tried["label"].isin(labels)).sum()
+        asked = (tried["method"].eq(str(method)) & tried["label"].isin(labels)).sum()
         lines.append((len(rows), f"{method}, {listed(labels)}: {len(rows)} of {asked}: {why}"))
     lines.sort(key=lambda one: -one[0])
     told = [line for _, line in lines[:_REASONS]]
