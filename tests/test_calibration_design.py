@@ -19,6 +19,7 @@ from iksamples.calibration.worst import Measured, judged_effects, worst_mm
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
 from iksamples.recorded.poses import Calibration
+from iksamples.recorded.read import read_recording
 from iksamples.region import Region
 from iksamples.samples.record import record_samples, region_points
 from iksamples.study import parse_study
@@ -251,6 +252,27 @@ def test_a_study_asks_the_same_with_what_it_expects(tmp_path):
     assert 2 <= len(pd.read_csv(poses)) <= 6
 
 
+@pytest.mark.parametrize("name", ["rrr70", "panda", "ur5e", "scara"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_few_poses_are_read_though_they_lie_near_each_other(tmp_path, name, n):
+    """Their spread says nothing then, and of one pose it is zero."""
+    chain = load_arm(f"config/robots/{name}.urdf")
+    middle = (chain.lower + chain.upper) / 2
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        q = middle + 0.2 + 0.05 * rng.normal(size=(n, chain.n_joints))
+        arm = deviated(chain, rng.normal(size=(chain.n_joints + 1, 6)) * np.repeat([1, 0.01], 3))
+        table = pd.DataFrame(arm.forward_mm(q), columns=["x_mm", "y_mm", "z_mm"])
+        table[[f"q{i}_{unit}" for i, unit in enumerate(chain.joint_units, 1)]] = q
+        table.to_csv(tmp_path / "had.csv", index=False)
+        found = read_recording(tmp_path / "had.csv", chain, fewest=1)
+        np.testing.assert_allclose(found.joints, q)
+        table[["x_mm", "y_mm", "z_mm"]] /= 1000
+        table.to_csv(tmp_path / "had.csv", index=False)
+        with pytest.raises(IksamplesError, match="the joint values do not reach"):
+            read_recording(tmp_path / "had.csv", chain, fewest=1)
+
+
 def test_poses_too_few_to_tell_the_noise_promise_no_error(tmp_path):
     options = ["--robot", "config/robots/rrr70.urdf", "--tolerance-mm", 1, "--count", 1]
     found = asked(*options, "-o", tmp_path / "next.csv")
@@ -273,7 +295,7 @@ def test_poses_too_few_to_tell_the_noise_promise_no_error(tmp_path):
         (["--robot", "config/robots/rrr70.urdf", "--weights", "w"], "--weights: of no use"),
         (
             ["config/config.yaml", "--samples", "x.csv", "--column", "x_mm=a", "--tolerance-mm", 1],
-            "--tolerance-mm, --column: of no use",
+            "--tolerance-mm: of no use",
         ),
         (
             ["config/studies/real-arm.yaml", "--strategy", "calibration", "--tip-link", "tool"],

@@ -267,7 +267,7 @@ def test_waypoints_from_a_file_are_in_its_units(tmp_path):
         ("x_mm,x_m,y_mm\n1,2,3\n", "the columns x_mm and x_m mean the same"),
         ("x,y\n1,2\n", "no unit is said for x, y; write it into the names"),
         ("x_mm,y_mm\n1,2\n3,up\n", r"row 2 \(line 3\) has 'up' as y_mm"),
-        ("x_mm,y_mm\n1,2\n", "1 waypoints; a path has at least 2"),
+        ("x_mm,y_mm\n1,2\n", "1 rows; at least 2 are needed"),
         ("", "the file is empty"),
     ],
 )

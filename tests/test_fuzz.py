@@ -73,12 +73,12 @@ from iksamples.paper.equations import paper_table
 from iksamples.paper.readings import Reading, rank, read_parts
 from iksamples.recorded.curve import read_curve
 from iksamples.recorded.doubts import checked
+from iksamples.recorded.learn import read_samples
 from iksamples.recorded.lerobot import read_lerobot
 from iksamples.recorded.read import read_recording
 from iksamples.recorded.sockets import odd_postures, read_places
 from iksamples.report.data import ReportData, read_benchmarks
 from iksamples.samples.dataset import SampleSet
-from iksamples.samples.measured import read_samples
 from iksamples.samples.record import grid_samples
 from iksamples.study import CsvPath, Recorded, parse_study, read_study
 from iksamples.task import study_task

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import name_and_unit, read_samples
+from iksamples.recorded.learn import read_samples
+from iksamples.samples.measured import name_and_unit
 from iksamples.samples.record import grid_samples, record_samples
 from iksamples.samples.table import read_table
-from iksamples.study import parse_study
+from iksamples.study import parse_study, read_study
 from iksamples.task import study_task
 
 
@@ -89,29 +90,29 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_table_is_read_in_every_usual_form(recorded, tmp_path, form, capsys):
+def test_a_table_is_read_in_every_usual_form(recorded, tmp_path, form):
     study, task, samples, table = recorded
     content = FORMS[form](table)
     path = tmp_path / "arm.csv"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    found = read_samples(study, task, path)
+    found, said = read_samples(study, task, path)
     assert found.label == "measured27"
     np.testing.assert_allclose(found.x, samples.x, atol=1e-9)
     np.testing.assert_allclose(found.joints, samples.joints, atol=1e-12)
-    said = capsys.readouterr().err
-    assert said.count("\n") == (form == "no units")
-    if said:
-        assert "no unit is said for x, y, z, q_yaw" in said
-        assert "taken as m and deg, in which" in said
+    assert len(said) == (form == "no units")
+    for line in said:
+        assert "no unit is said for x, y, z, q_yaw" in line
+        assert "taken as m and deg, in which" in line
 
 
 def test_parquet_is_read(recorded, tmp_path):
     study, task, samples, table = recorded
     table.assign(note="a").to_parquet(tmp_path / "arm.parquet")
-    found = read_samples(study, task, tmp_path / "arm.parquet")
+    found, _ = read_samples(study, task, tmp_path / "arm.parquet")
     np.testing.assert_array_equal(found.joints, samples.joints)
     samples.save(tmp_path / "own.parquet")
-    assert read_samples(study, task, tmp_path / "own.parquet").digest() == samples.digest()
+    own, said = read_samples(study, task, tmp_path / "own.parquet")
+    assert (own.digest(), said) == (samples.digest(), [])
     joints = replace(task.q, names=("a", "b", "c"))
     replace(samples, joint_space=joints).save(tmp_path / "other.parquet")
     with pytest.raises(IksamplesError, match="samples of the joints a, b, c"):
@@ -184,9 +185,9 @@ REFUSED = {
         lambda t: text(renamed(t + 300, "x,y,z,q1,q2,q3")),
         "Is it another",
     ),
-    "one row": (lambda t: text(t[:1]), "1 samples; at least 2"),
+    "one row": (lambda t: text(t[:1]), "1 rows; at least 2"),
     "no rows": (lambda t: text(t[:0]), "there are names but no rows"),
-    "a plane": (lambda t: text(t.assign(z_mm=30.0)), "z_mm is the same in every row"),
+    "a plane": (lambda t: text(t[t.z_mm == t.z_mm[0]]), "z is the same in every record"),
     "empty": (lambda t: "", "the file is empty"),
     "only comments": (lambda t: "# one\n# two\n", "there are only comments"),
     "JSON": (lambda t: t.to_json(orient="records"), "no table (it looks like JSON or HTML)"),
@@ -218,7 +219,7 @@ def test_a_file_that_is_not_there(recorded, tmp_path):
         read_samples(*recorded[:2], tmp_path / "absent.csv")
 
 
-def test_what_is_odd_is_named_with_its_rows(recorded, tmp_path, capsys):
+def test_what_is_odd_is_named_with_its_rows(recorded, tmp_path):
     study, task, _, table = recorded
     table = table.copy()
     table.loc[4, "x_mm"] += 3.0
@@ -228,33 +229,59 @@ def test_what_is_odd_is_named_with_its_rows(recorded, tmp_path, capsys):
     table.loc[9, "q_yaw_rad"] += 2 * np.pi
     table.loc[27] = table.loc[0]
     (tmp_path / "arm.csv").write_text("# by hand\n" + text(table))
-    assert read_samples(study, task, tmp_path / "arm.csv").n_samples == 28
-    said = capsys.readouterr().err
-    assert "1 of 28 samples are more than 1 mm from where the model of the arm puts them" in said
-    assert "3.0 mm at most; kept as they are, the farthest first: row 5 (line 7)." in said
-    assert "another branch than the study's; a network" in said
-    assert "(row 8 (line 10))" in said
-    assert "full turns beside its limits; a network takes that for another place (row 10" in said
-    assert "repeat the position of an earlier one (row 28 (line 30) that of row 1 (line 3))" in said
-    assert "1 of 28 samples are outside the joint limits (row 8" in said  # not row 10 as well
-    table.loc[12, "q_yaw_rad"] = -0.5
-    (tmp_path / "arm.csv").write_text(text(table))
-    read_samples(study, task, tmp_path / "arm.csv")
-    said = capsys.readouterr().err
-    assert "2 of 28 samples are outside the joint limits (row 8 (line 9), row 13 (line 14))" in said
+    found, lines = read_samples(study, task, tmp_path / "arm.csv")
+    assert found.n_samples == 27
+    said = "\n".join(lines)
+    assert "1 of 28 records stand there twice" in said
+    assert "left out (row 28 (line 30))" in said
+    assert "1 of 27 records have the tool much farther from where the drawing puts it" in said
+    assert "3 mm at most; kept, the farthest first: row 5 (line 7)." in said
+    assert "2 of 27 records have joints far from the study's: another branch" in said
+    assert "or full turns; a network" in said
+    assert "between (row 8 (line 10), row 10 (line 12))" in said
+    assert "2 of 27 records are outside the joint limits (row 8 (line 10), row 10" in said
 
 
-def test_random_samples_in_any_order_are_those_written(recorded, tmp_path, capsys):
+def test_samples_of_the_branch_that_the_study_does_not_have_are_named(recorded, tmp_path):
+    """All of them, so that no neighbour has other joints."""
+    study, task, samples, table = recorded
+    yaw, shoulder, elbow = samples.joints.T
+    names = ["q_yaw_rad", "q_shoulder_rad", "q_elbow_rad"]
+    other = np.stack([yaw, shoulder + elbow, -elbow], axis=1)
+    np.testing.assert_allclose(task.drawing.forward_mm(other), samples.x, atol=1e-9)
+    text_of = text(table.assign(**dict(zip(names, other.T, strict=True))))
+    (tmp_path / "arm.csv").write_text(text_of)
+    _, lines = read_samples(study, task, tmp_path / "arm.csv")
+    assert any("27 of 27 records have joints far from the study's" in line for line in lines)
+
+
+def test_angles_that_a_task_asks_for_are_read_as_they_are(tmp_path):
+    """Beyond half a turn too, where roll, pitch and yaw of a rotation would come back smaller."""
+    study = read_study("config/studies/scara.yaml")
+    task = study_task(study)
+    samples = record_samples(study, task, "grid", 16)
+    names = [*task.x.columns(), *task.q.columns("q_")]
+    table = pd.DataFrame(np.hstack([samples.x, samples.joints]), columns=names)
+    table["yaw_deg"] = np.degrees(table.pop("yaw_rad")) + 360
+    table = table.rename(columns={"x_mm": "tcp"})
+    table.to_csv(tmp_path / "arm.csv", index=False)
+    found, _ = read_samples(study, task, tmp_path / "arm.csv", {"x_mm": "tcp"})
+    turned = np.where(np.array(task.x.names) == "yaw", 2 * np.pi, 0)
+    np.testing.assert_allclose(found.x, samples.x + turned, atol=1e-9)
+    np.testing.assert_allclose(found.joints, samples.joints, atol=1e-12)
+
+
+def test_random_samples_in_any_order_are_those_written(recorded, tmp_path):
     study, task, _, table = recorded
     samples = record_samples(study, task, "sobol", 8)
     values = np.hstack([samples.x, samples.joints])
     pd.DataFrame(values, columns=list(table))[::-1].to_csv(tmp_path / "arm.csv", index=False)
-    found = read_samples(study, task, tmp_path / "arm.csv")
+    found, said = read_samples(study, task, tmp_path / "arm.csv")
+    assert said == []
     assert (found.label, found.n_samples) == ("measured8", 8)
     np.testing.assert_array_equal(found.x, samples.x[::-1])
     inputs = found.normalise(found.x)
     np.testing.assert_allclose((inputs.min(axis=0), inputs.max(axis=0)), ([0] * 3, [1] * 3))
-    assert capsys.readouterr().err == ""
 
 
 @given(

@@ -120,6 +120,8 @@ REFUSED = {
     "a negative error": ("8,0,1\n8,1,-1\n", "row 2 (line 3) has an error below zero"),
     "NaN": ("8,0,1\n8,1,nan\n", "row 2 (line 3) has 'nan' as error_mm"),
     "nothing": ("8,0,\n", "row 1 (line 2) has nothing as error_mm"),
+    "a size in mm": ("8,0,1\n", "n_mm: mm is no unit of n; it has none"),
+    "a unit that is none": ("-,-,mm\n8,0,1\n8,0,1\n", "has the n and the seed of row 1"),
     "half a seed": ("8,0.5,1\n", "row 1 (line 2) is no whole seed"),
 }
 
@@ -127,7 +129,8 @@ REFUSED = {
 @pytest.mark.parametrize("fault", REFUSED)
 def test_faults_are_named_by_row(tmp_path, fault):
     rows, message = REFUSED[fault]
-    (tmp_path / "runs.csv").write_text("n,seed,error_mm\n" + rows)
+    names = "n_mm,seed,error_mm" if fault == "a size in mm" else "n,seed,error_mm"
+    (tmp_path / "runs.csv").write_text(f"{names}\n{rows}")
     with pytest.raises(IksamplesError) as caught:
         read_curve(tmp_path / "runs.csv")
     assert message in str(caught.value)

@@ -242,7 +242,7 @@ FAULTS = {
         "(line 62))",
         "1 of 61 records stand there twice",
     ),
-    "too few": (lambda t: t.head(5), "5 records; at least 8 are needed", "5 records; at least 8"),
+    "too few": (lambda t: t.head(5), "5 rows; at least 8 are needed", "5 rows; at least 8"),
     "a full turn": (
         changed([11], ["q_yaw_rad"], lambda v: v + 2 * np.pi),
         "1 of 60 records have joints far from those of records near by",

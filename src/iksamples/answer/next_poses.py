@@ -31,7 +31,7 @@ def next_poses(
     Args:
         study: The study.
         task: Its task.
-        samples: What is recorded so far (``samples.measured.read_samples``).
+        samples: What is recorded so far (``recorded.learn.read_samples``).
         k: How many poses.
         strategy: What makes a pose worth recording; see ``propose``.
         weights: Networks trained on these samples; None: 16 seeds are trained as the study says.

@@ -1,5 +1,6 @@
 """`iksamples next`: which poses to record next, for a network or to calibrate a drawing."""
 
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,7 +38,6 @@ _OF_CALIBRATION = (
     "noise_mm",
     "deviation_mm",
     "deviation_rad",
-    "column",
 )
 
 
@@ -143,7 +143,16 @@ def next_(
         if samples_file is None:
             raise IksamplesError("--samples: name the samples that the networks learn from.")
         refuse_unused(context, _OF_CALIBRATION, "where networks are asked")
-        _for_network(study_file, samples_file, output, count or _POSES, strategy, weights)
+        from iksamples.answer.next_poses import next_poses
+        from iksamples.recorded.learn import read_samples
+
+        study, task = open_study(study_file)
+        samples, doubts = read_samples(study, task, samples_file, columns_of(column))
+        _note(doubts)
+        how: ProposalStrategy = "worst" if strategy is Strategy.WORST else "disagreement"
+        poses = next_poses(study, task, samples, count or _POSES, how, weights, progress=True)
+        _write(poses.round(4), output)
+        say(f"{len(poses)} poses written to {output}")
         return
     refuse_unused(context, ["weights"], "to a calibration, which asks no networks")
     if study_file is not None:
@@ -162,25 +171,6 @@ def next_(
     given = {name: value for name, value in said.items() if value is not None}
     question = _question(study_file, arm_settings(robot, tip_link), box, given)
     _for_calibration(question, samples_file, columns_of(column), output, count, anywhere)
-
-
-def _for_network(
-    study_file: Path,
-    samples_file: Path,
-    output: Path,
-    count: int,
-    strategy: Strategy | None,
-    weights: Path | None,
-) -> None:
-    from iksamples.answer.next_poses import next_poses
-    from iksamples.samples.measured import read_samples
-
-    study, task = open_study(study_file)
-    samples = read_samples(study, task, samples_file)
-    how: ProposalStrategy = "worst" if strategy is Strategy.WORST else "disagreement"
-    poses = next_poses(study, task, samples, count, how, weights, progress=True)
-    _write(poses.round(4), output)
-    say(f"{len(poses)} poses written to {output}")
 
 
 def _question(
@@ -236,8 +226,7 @@ def _for_calibration(
     if samples_file is not None:
         recording = read_recording(samples_file, asked.drawing, columns, fewest=1)
         n = len(recording)
-        for line in recording.remarks:
-            say(f"Note: {line}", err=True)
+        _note(recording.remarks)
     fitted = asked.fitted(recording)
     advice, joints = asked.next_poses(fitted, count, anywhere)
     sure, limit = f"{asked.tolerance.confidence:.0%} confidence", asked.tolerance.error_mm
@@ -263,6 +252,11 @@ def _for_calibration(
     if count is None and advice.expected_mm > limit:
         wider = "" if anywhere or asked.region is None else ", or also elsewhere (--anywhere)"
         say(f"That is not within {limit:g} mm yet. To need fewer, measure better{wider}.")
+
+
+def _note(doubts: Iterable[str]) -> None:
+    for line in doubts:
+        say(f"Note: {line}", err=True)
 
 
 def _write(poses: "pd.DataFrame", output: Path) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import MOST, Place, factors_as_said, find_columns, plain, with_units
+from iksamples.samples.measured import Place, plain, read_columns, with_units
 from iksamples.samples.table import Table, read_table
 from iksamples.study import (
     AnyPath,
@@ -168,12 +168,9 @@ def _from_file(file: str, task: Task) -> Waypoints:
         IksamplesError: An input has no column, a unit is not said, or a cell is no number.
     """
     units = zip(task.x.names, task.x.units, strict=True)
-    columns, table = find_columns(_table(file), [Place(name, unit, [name]) for name, unit in units])
-    factors = factors_as_said(table, columns, "; write it into the names, such as x_mm.")
-    if len(table.rows) < 2:
-        raise IksamplesError(f"{file}: {len(table.rows)} waypoints; a path has at least 2.")
+    places = [Place(name, unit, [name]) for name, unit in units]
+    x, table, _ = read_columns(_table(file), places, fewest=2)
     lifted = [i for i, name in enumerate(table.names) if plain(name) == "pen_up"]
-    x = table.numbers([column.at for column in columns], MOST) * factors
     return Waypoints(x, np.asarray(table.numbers(lifted).any(axis=1)))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from iksamples.answer.collect import WORKSPACE
 from iksamples.columns import ERRORS, RUNS
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import UNITS, Place, find_columns, with_units
-from iksamples.samples.table import Table, read_table
+from iksamples.samples.measured import UNITS, Place, read_columns, with_units
+from iksamples.samples.table import read_table
 from iksamples.study import NETWORK, RECORDED
 
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 _N = ("n", "n_samples", "samples", "n_train", "size")
 _SEED = ("seed", "run", "trial", "repeat")
-_INFINITE = ("inf", "+inf", "infinity")
 FAILED = "there is no finite error"
 """Why a training has no result of which only its error is known."""
 
@@ -53,21 +52,15 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
         IksamplesError: A column is missing or twice, a row is no training, or stands twice.
     """
     table = read_table(path)
-    kind = _kind(table)
+    said = dict(with_units(table)[0]).get("error", "")
+    kind = next(unit for unit, known in UNITS.items() if said in known)
     # An angle is found in radians and told in degrees.
     unit = {"rad": "deg"}.get(kind, kind)
     places = [Place("n", "", _N), Place("seed", "", _SEED), Place("error", kind, ["error"])]
-    columns, table = find_columns(table, places, "Name them so, error_mm where it is in mm.")
-    at = [column.at for column in columns]
-    failed = [str(row[at[2]]).strip().lower() in _INFINITE for row in table.rows]
-    rows = [
-        [0 if lost and i == at[2] else cell for i, cell in enumerate(row)]
-        for row, lost in zip(table.rows, failed, strict=True)
-    ]
-    n, seed, error = Table(table.path, table.names, rows, table.lines).numbers(at).T
-    if columns[2].said:
-        error = error * UNITS[kind][columns[2].said]
-    error = np.where(failed, np.inf, np.degrees(error) if unit == "deg" else error)
+    remedy = "Name them so, error_mm where it is in mm."
+    values, table, _ = read_columns(table, places, remedy, most=np.inf)
+    n, seed, error = values.T
+    error = np.degrees(error) if unit == "deg" else error
     for fault, wrong in {
         "is no number of samples": (n < 0) | (n != np.round(n)) | (n > 2**53),
         "is no whole seed": (seed != np.round(seed)) | (np.abs(seed) > 2**53),
@@ -77,12 +70,12 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
             raise IksamplesError(f"{path}: {table.place(int(np.argmax(wrong)))} {fault}.")
     seen: dict[tuple[float, float], int] = {}
     for i, pair in enumerate(zip(n, seed, strict=True)):
-        if pair in seen:
+        first = seen.setdefault(pair, i)
+        if first < i:
             raise IksamplesError(
-                f"{path}: {table.place(i)} has the n and the seed of {table.place(seen[pair])}; "
+                f"{path}: {table.place(i)} has the n and the seed of {table.place(first)}; "
                 "a seed is one training of each size."
             )
-        seen[pair] = i
     return runs_table(
         {
             "method": NETWORK,
@@ -94,9 +87,3 @@ def read_curve(path: str | Path) -> "tuple[pd.DataFrame, str]":
         }
         for size, one, value in zip(n, seed, error, strict=True)
     ), unit
-
-
-def _kind(table: Table) -> str:
-    """Unit here of the error: mm, rad, or nothing where none is said in its name or below it."""
-    said = next((unit for name, unit in with_units(table)[0] if name == "error"), "")
-    return next((unit for unit, known in UNITS.items() if said in known), "")

@@ -1,14 +1,16 @@
 """What is odd about records, by their rows: mixed units, repeats, outliers, branches, limits."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
+from iksamples.arm.inverse import Solution
 from iksamples.errors import IksamplesError
-from iksamples.recorded.read import FEWEST, Recording
+from iksamples.recorded.read import Recording
+from iksamples.samples.measured import FEWEST
 
 
 Flags = NDArray[np.bool_]
@@ -37,7 +39,12 @@ _GROUP, _APART = 3, 20.0
 """Records in a group, and how many times farther out another one begins: units are mixed."""
 
 
-def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recording, list[str]]:
+def checked(
+    recording: Recording,
+    drawing: SerialChain | None,
+    fewest: int = FEWEST,
+    reach: Callable[[Floats], Solution] | None = None,
+) -> tuple[Recording, list[str]]:
     """Records that can be learned from, and what is odd about them, a sentence each.
 
     What stands there twice is left out; everything else that is odd is kept, and named.
@@ -45,11 +52,13 @@ def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recordin
     Args:
         recording: The records.
         drawing: The arm as drawn; None: what is odd shows in records that lie near each other.
+        fewest: Records needed.
+        reach: The joints that a study asks for at a place; None: it may be any branch.
 
     Raises:
         IksamplesError: Some records are in other units than the rest, or too few are left.
     """
-    whole = np.nan_to_num(np.concatenate([recording.position_mm, recording.joints], axis=1))
+    whole = np.concatenate([recording.where_mm, recording.joints], axis=1)
     _, first = np.unique(whole, axis=0, return_index=True)
     again = np.setdiff1d(np.arange(len(whole)), first)
     lines = [*recording.remarks]
@@ -59,16 +68,16 @@ def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recordin
             f"and are left out ({recording.table.listed(again)})."
         )
         recording = recording.select(np.sort(first))
-    if len(recording) < FEWEST:
+    if len(recording) < fewest:
         raise IksamplesError(
-            f"{recording.table.path}: {len(recording)} different records; at least {FEWEST} are "
-            "needed to learn from some and judge by others."
+            f"{recording.table.path}: {len(recording)} different records; at least {fewest} are "
+            "needed."
         )
-    flat = [name for name, extent in _extents(recording) if not extent]
-    if flat:
+    flat = np.flatnonzero(np.ptp(recording.x, axis=0) == 0)
+    if len(flat):
         raise IksamplesError(
-            f"{recording.table.path}: {flat[0]} is the same in every record, so nothing can be "
-            "learned of it. Record some at another place."
+            f"{recording.table.path}: {recording.inputs[flat[0]]} is the same in every record, so "
+            "nothing can be learned of it. Record some at another place."
         )
     if drawing is None:
         lines += _implausible(recording)
@@ -80,11 +89,12 @@ def checked(recording: Recording, drawing: SerialChain | None) -> tuple[Recordin
                 "more from the drawing's tool, so they are of another frame or told in another "
                 "way (expected: a URDF's roll, pitch, yaw, or qx, qy, qz, qw, in the base frame)."
             )
-            recording = replace(recording, rotation=None)
+            inputs = recording.inputs[: len(recording.positions)]
+            recording = replace(recording, rotation=None, inputs=inputs, x=recording.where_mm)
     missed = _position_misses(recording, drawing)
     far = missed > _bound(recording, drawing, missed)
     _require_one_unit(recording, drawing, missed, far)
-    return recording, [*lines, *_doubts(recording, drawing, missed, far)]
+    return recording, [*lines, *_doubts(recording, drawing, missed, far, reach)]
 
 
 def turned_deg(first: Floats, second: Floats) -> Floats:
@@ -95,23 +105,15 @@ def turned_deg(first: Floats, second: Floats) -> Floats:
     return np.degrees(np.asarray(Rotation.from_matrix(between).magnitude()))
 
 
-def _extents(recording: Recording) -> Iterator[tuple[str, float]]:
-    yield from zip(recording.inputs, np.ptp(recording.x, axis=0), strict=True)
-
-
 def _floor(recording: Recording) -> float:
-    where = _positions(recording)
+    where = recording.where_mm
     spread = np.sqrt(np.mean(np.sum((where - np.median(where, axis=0)) ** 2, axis=1)))
     return float(max(_FLOOR_MM, _FLOOR_SHARE * min(spread, 50 * np.median(np.abs(where)))))
 
 
-def _positions(recording: Recording) -> Floats:
-    return recording.position_mm[:, recording.positions]
-
-
 def _position_misses(recording: Recording, drawing: SerialChain | None) -> Floats:
     """How far each tool is from where the drawing, or else its neighbours, put it [mm]."""
-    where = _positions(recording)
+    where = recording.where_mm
     if drawing is not None:
         seen = recording.positions
         return np.linalg.norm(drawing.forward_mm(recording.joints)[:, seen] - where, axis=1)
@@ -192,7 +194,7 @@ def _require_one_unit(
         for factor in factors:
             changed = recording.select(np.ones(len(recording), bool))
             if kind == "mm":
-                changed.position_mm[far] *= factor
+                changed.where_mm[far] *= factor
             else:
                 changed.joints[np.ix_(far, recording.revolute)] *= factor
             right = far & (_position_misses(changed, drawing) <= bound)
@@ -215,7 +217,7 @@ def _implausible(recording: Recording) -> Iterator[str]:
             arm; or records are of two sizes.
     """
     path, turns = recording.table.path, recording.revolute
-    angles, where = recording.joints[:, turns], _positions(recording)
+    angles, where = recording.joints[:, turns], recording.where_mm
     most = np.max(np.abs(angles), axis=0, initial=0)
     if np.any(most > MOST_RAD):
         name = np.array(recording.joint_names)[turns][int(np.argmax(most))]
@@ -274,7 +276,11 @@ def _words(factor: float) -> str:
 
 
 def _doubts(
-    recording: Recording, drawing: SerialChain | None, missed: Floats, far: Flags
+    recording: Recording,
+    drawing: SerialChain | None,
+    missed: Floats,
+    far: Flags,
+    reach: Callable[[Floats], Solution] | None,
 ) -> Iterator[str]:
     n = len(recording)
     if far.any():
@@ -286,7 +292,7 @@ def _doubts(
             f"(median {np.median(missed):.3g} mm), {missed[rows[0]]:.3g} mm at most; kept, the "
             f"farthest first: {recording.table.listed(rows)}."
         )
-    spread = float(np.median(np.ptp(_positions(recording), axis=0)))
+    spread = float(np.median(np.ptp(recording.where_mm, axis=0)))
     if drawing is None and np.median(missed) > _LOOSE * spread:
         yield (
             f"positions hardly follow from the joints (half of them are {np.median(missed):.3g} mm "
@@ -294,13 +300,18 @@ def _doubts(
             "column missing, or are there few records?"
         )
     turn = recording.joints[:, recording.revolute]
-    apart = np.linalg.norm(_off_neighbours(recording.x, turn, _FLOOR_RAD), axis=1)
-    other = _odd(apart, _FLOOR_RAD) & ~far
+    if reach is None:
+        apart = np.linalg.norm(_off_neighbours(recording.x, turn, _FLOOR_RAD), axis=1)
+        other, usual = _odd(apart, _FLOOR_RAD) & ~far, "those of records near by"
+    else:
+        there = reach(recording.x)
+        apart = np.linalg.norm(turn - there.joints[:, recording.revolute], axis=1)
+        other, usual = (apart > _FLOOR_RAD) & there.in_reach & ~far, "the study's"
     if other.any():
         yield (
-            f"{np.sum(other)} of {n} records have joints far from those of records near by: "
-            "another branch of the inverse kinematics, or full turns; a network that learns both "
-            f"answers with something between ({recording.table.listed(np.flatnonzero(other))})."
+            f"{np.sum(other)} of {n} records have joints far from {usual}: another branch of the "
+            "inverse kinematics, or full turns; a network that learns both answers with something "
+            f"between ({recording.table.listed(np.flatnonzero(other))})."
         )
     if drawing is not None:
         outside = ~drawing.within_limits(recording.joints)

@@ -196,7 +196,7 @@ def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floa
     """How far a model puts the tool from where it was measured [mm], and how it turns it [deg]."""
     position, rotation = model.pose(recording.joints[rows])
     seen = recording.positions
-    off = np.linalg.norm((position - recording.position_mm[rows])[:, seen], axis=1)
+    off = np.linalg.norm(position[:, seen] - recording.where_mm[rows], axis=1)
     if recording.rotation is None:
         return off, np.full(len(off), np.nan)
     return off, turned_deg(rotation, recording.rotation[rows])
@@ -299,7 +299,7 @@ def _first_order(recording: Recording, rows: Any, moved: Floats) -> Floats:
     from scipy.spatial import KDTree
 
     q = recording.joints
-    where = recording.position_mm[:, recording.positions]
+    where = recording.where_mm
     extent = np.ptp(q, axis=0)
     scaled = q / np.where(extent > 0, extent, 1)
     k = min(len(q), _NEAR * (q.shape[1] + 1))

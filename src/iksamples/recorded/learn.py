@@ -1,6 +1,6 @@
 """A learning curve from records: which study is made of them, and what they say."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -11,6 +11,7 @@ from iksamples.answer.collect import WORKSPACE
 from iksamples.arm.chain import Floats, SerialChain, angles_of
 from iksamples.columns import ANGLES, ERRORS
 from iksamples.errors import IksamplesError
+from iksamples.files import require_plain
 from iksamples.recorded.curve import FAILED, runs_table
 from iksamples.recorded.doubts import checked
 from iksamples.recorded.judge import judged, n_held, orders
@@ -26,6 +27,8 @@ from iksamples.recorded.sockets import (
     read_places,
 )
 from iksamples.region import Region
+from iksamples.samples.dataset import SampleSet
+from iksamples.samples.record import sample_set
 from iksamples.study import Recorded, Study, Workspace, parse_study
 from iksamples.task import Task, study_chain, study_task
 from iksamples.text import several
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
 
 ABOUT, JUDGED = "recorded.json", "judged.parquet"
 """Files of a recorded study: what its recording is, and every record held out."""
+MEASURED = "measured"
+"""What the design of samples is called that a study's networks learn from."""
 _FEWEST, _MOST_SIZES = 4, 8
 _USUAL: dict[str, Any] = {
     "network": {"hidden": [16], "activation": "tanh"},
@@ -126,6 +131,45 @@ def read_checked(study: Study, has_drawing: bool) -> tuple[Recording, list[str]]
             "how the tool moves between the records near by."
         )
     return recording, doubts
+
+
+def read_samples(
+    study: Study, task: Task, path: str | Path, columns: Mapping[str, str] | None = None
+) -> tuple[SampleSet, list[str]]:
+    """Samples that a study's networks can learn from, and what is odd about them.
+
+    Args:
+        study: The study; its fresh points check the training.
+        task: Its task.
+        path: A table of its inputs and joints, or a set that a study has kept.
+        columns: As ``read_recording``.
+
+    Raises:
+        IksamplesError: They cannot be read, or not be used.
+    """
+    if _is_kept(Path(path)):
+        samples = SampleSet.load(path)
+        if samples.joint_names != task.q.names:
+            raise IksamplesError(
+                f"{path}: samples of the joints {', '.join(samples.joint_names)}, but the study's "
+                f"arm has {', '.join(task.q.names)}. Name the study they were recorded for."
+            )
+        return samples, []
+    found = read_recording(path, task.drawing, columns, 2, task.x.names)
+    found, doubts = checked(found, task.drawing, 2, task.reach)
+    label = f"{MEASURED}{len(found)}"
+    return sample_set(study, task, label, MEASURED, found.x, found.joints), doubts
+
+
+def _is_kept(path: Path) -> bool:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        require_plain(path)
+        return b"iksamples" in (parquet.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):
+        return False
 
 
 def learning_curve(study: Study, has_drawing: bool = True) -> Learned:

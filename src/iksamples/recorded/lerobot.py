@@ -14,8 +14,8 @@ import numpy as np
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError, in_a_line
 from iksamples.recorded.doubts import MOST_RAD
-from iksamples.recorded.read import FEWEST, Recording, middle
-from iksamples.samples.measured import plain
+from iksamples.recorded.read import ANGLES, Recording, angles_amid
+from iksamples.samples.measured import FEWEST, POSITION, plain
 from iksamples.samples.table import Table
 from iksamples.study import Recorded
 
@@ -73,6 +73,7 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
             f"{folder}: {len(kept)} different postures; at least {FEWEST} are needed."
         )
     position, rotation = drawing.pose(joints[kept])
+    angles, amid = angles_amid(rotation)
     what = {
         "deg": "degrees from the drawing's zero (the recorder counts from the middle of the range "
         "that each motor was calibrated over)",
@@ -82,7 +83,8 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
     }
     return Recording(
         Table(folder, drawing.joint_names, joints[kept].tolist()),
-        position,
+        (*POSITION, *ANGLES),
+        np.concatenate([position, angles], axis=1),
         rotation,
         joints[kept],
         drawing.joint_names,
@@ -94,7 +96,7 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
             f"joint values are taken as {what[unit]}.",
             "where the tool was is computed: everything here is the drawing's, not the arm's.",
         ),
-        middle(rotation),
+        amid,
         of_drawing=True,
     )
 

@@ -1,7 +1,7 @@
 """Records of a real arm: where its tool was measured to be, and what its joints read there."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,21 +12,19 @@ from numpy.typing import NDArray
 from iksamples.arm.chain import Floats, SerialChain, Unit, angles_of, roll_pitch_yaw
 from iksamples.errors import IksamplesError
 from iksamples.samples.measured import (
+    FEWEST,
     MOST,
+    POSITION,
     UNITS,
     Place,
-    factors_as_said,
-    find_columns,
-    in_units,
     joint_places,
     name_and_unit,
+    read_columns,
 )
 from iksamples.samples.table import Table, read_table
 
 
-FEWEST = 8
-"""Records below which nothing can be learned from some and judged by others."""
-_POSITION, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
+ANGLES = ("roll", "pitch", "yaw")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _JOINT = re.compile(r"(?:q|joint|j)_?\d+|q_\w+|joint_\w+")
 _UNIT_LENGTH = 0.01
@@ -46,9 +44,10 @@ class Recording:
 
     Attributes:
         table: Where they were read; it knows each record's row.
-        position_mm: Measured positions in the base frame [mm], shape (n, 3); NaN for a coordinate
-            that was not measured.
-        rotation: Measured rotations of the tool, shape (n, 3, 3); None: positions alone.
+        inputs: The coordinates that were measured, as a study names its inputs: positions first.
+        x: These in the base frame [mm or rad], shape (n, inputs).
+        rotation: Measured rotations of the tool, shape (n, 3, 3); None: positions, or the angles
+            that a task asks for.
         joints: Joint values [rad or mm], shape (n, joints).
         joint_names: One name per joint.
         joint_units: ``"rad"`` or ``"mm"``, one per joint.
@@ -58,7 +57,8 @@ class Recording:
     """
 
     table: Table
-    position_mm: Floats
+    inputs: tuple[str, ...]
+    x: Floats
     rotation: Floats | None
     joints: Floats
     joint_names: tuple[str, ...]
@@ -74,27 +74,24 @@ class Recording:
     @property
     def positions(self) -> list[int]:
         """Which of x, y and z (as 0, 1, 2) were measured."""
-        return np.flatnonzero(np.isfinite(self.position_mm).all(axis=0)).tolist()
+        return [POSITION.index(name) for name in self.inputs if name in POSITION]
+
+    @property
+    def where_mm(self) -> Floats:
+        """These positions [mm], shape (n, positions)."""
+        return self.x[:, : len(self.positions)]
+
+    @property
+    def position_mm(self) -> Floats:
+        """All three [mm], shape (n, 3); NaN for one that was not measured."""
+        found = np.full((len(self), 3), np.nan)
+        found[:, self.positions] = self.where_mm
+        return found
 
     @property
     def revolute(self) -> NDArray[np.bool_]:
         """Which joints turn, shape (joints,); the others slide."""
         return np.array(self.joint_units) == "rad"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The coordinates that were measured, as a study names its inputs."""
-        found = [_POSITION[i] for i in self.positions]
-        return (*found, *(_ANGLES if self.rotation is not None else ()))
-
-    @property
-    def x(self) -> Floats:
-        """The measured coordinates [mm or rad], shape (n, inputs)."""
-        positions = self.position_mm[:, self.positions]
-        if self.rotation is None:
-            return positions
-        angles = [angles_of(one @ self.reference.T) for one in self.rotation]
-        return np.concatenate([positions, angles], axis=1)
 
     def select(self, rows: NDArray[Any]) -> "Recording":
         """Some of the records, by their index or by whether each is kept."""
@@ -103,7 +100,7 @@ class Recording:
         return replace(
             self,
             table=Table(self.table.path, self.table.names, cells, lines),
-            position_mm=self.position_mm[rows],
+            x=self.x[rows],
             rotation=None if self.rotation is None else self.rotation[rows],
             joints=self.joints[rows],
         )
@@ -114,11 +111,11 @@ def read_recording(
     drawing: SerialChain | None,
     columns: Mapping[str, str] | None = None,
     fewest: int = FEWEST,
+    inputs: Sequence[str] = (),
 ) -> Recording:
     """Reads a table of records: columns x, y, perhaps z, perhaps an orientation, and the joints.
 
-    Units stand in the names (``x_mm``, ``q1_deg``) or in a row below them. Where one does not, it
-    is the one in which the drawing fits, and a remark says so; without a drawing it has to be said.
+    Units are as ``samples.measured.read_columns`` finds them; a remark says what was taken for one.
     An orientation is ``roll, pitch, yaw`` as in a URDF or a quaternion ``qx, qy, qz, qw``.
 
     Args:
@@ -127,6 +124,7 @@ def read_recording(
             like a joint (``q1``, ``joint_3``, ``q_elbow``) is one.
         columns: What columns are whose names do not say it: ``x_mm`` -> ``tcp x``.
         fewest: Records needed.
+        inputs: What a task asks of the tool, to be read as it is; empty: whatever is there.
 
     Raises:
         IksamplesError: The file cannot be read, lacks a column or a unit, holds something that is
@@ -134,60 +132,42 @@ def read_recording(
     """
     table = _renamed(read_table(path), columns or {})
     names = {name_and_unit(name)[0] for name in table.names}
-    position = [name for name in _POSITION if name in names or name != "z"]
-    turned = next((some for some in (_ANGLES, _QUATERNION) if names >= set(some)), ())
-    places = [Place(name, "mm", [name]) for name in position]
-    if turned == _ANGLES:
-        places += [Place(name, "rad", [name]) for name in turned]
-    joints = _joint_places(table, drawing, turned)
-    found, table = find_columns(table, places + joints, _REMEDY)
-    n_inputs = len(places)
-    raw = table.numbers([column.at for column in found], MOST)
-    if len(raw) < fewest:
-        raise IksamplesError(
-            f"{path}: {len(raw)} records; at least {fewest} are needed to learn from some and "
-            "judge by others."
-        )
-    said = ""
-    if drawing is None:
-        values = raw * factors_as_said(table, found, _NO_UNIT)
-    else:
-        at = [_POSITION.index(name) for name in position]
-
-        def miss(tried: Floats) -> float:
-            where = tried[:, : len(at)]
-            spread = np.sqrt(np.mean(np.sum((where - where.mean(axis=0)) ** 2, axis=1)))
-            off = drawing.forward_mm(tried[:, n_inputs:])[:, at] - where
-            middle = float(np.median(np.linalg.norm(off, axis=1)))
-            return middle / spread if spread else np.inf
-
-        values, said = in_units(table, found, raw, miss)
-    measured = np.full((len(values), 3), np.nan)
-    measured[:, [_POSITION.index(name) for name in position]] = values[:, : len(position)]
-    rotation = None
-    if turned == _ANGLES:
-        rotation = roll_pitch_yaw(values[:, len(position) : n_inputs])
-    elif turned:
-        rotation = _of_quaternions(table)
-    joint_columns = found[n_inputs:]
-    names_of = [column.wanted.removeprefix("q_").rsplit("_", 1)[0] for column in joint_columns]
+    turned = next((some for some in (ANGLES, _QUATERNION) if names >= set(some)), ())
+    found = inputs or [*("xyz" if "z" in names else "xy"), *(ANGLES if turned == ANGLES else ())]
+    places = [Place(name, "mm" if name in POSITION else "rad", [name]) for name in found]
+    joints = _joint_places(table, drawing, (*POSITION, *(inputs or turned)))
+    values, table, said = read_columns(
+        table, [*places, *joints], _REMEDY, _NO_UNIT, drawing=drawing, fewest=fewest
+    )
+    x, rotation, reference = values[:, : len(places)], None, np.eye(3)
+    if turned and not inputs:
+        n = len([name for name in found if name in POSITION])
+        rotation = roll_pitch_yaw(x[:, n:]) if turned == ANGLES else _of_quaternions(table)
+        angles, reference = angles_amid(rotation)
+        found, x = [*found[:n], *ANGLES], np.concatenate([x[:, :n], angles], axis=1)
     return Recording(
         table,
-        measured,
+        tuple(found),
+        x,
         rotation,
-        values[:, n_inputs:],
-        drawing.joint_names if drawing else tuple(names_of),
-        tuple("mm" if column.unit == "mm" else "rad" for column in joint_columns),
+        values[:, len(places) :],
+        drawing.joint_names if drawing else tuple(one.wanted.removeprefix("q_") for one in joints),
+        tuple("mm" if one.unit == "mm" else "rad" for one in joints),
         (said,) if said else (),
-        np.eye(3) if rotation is None else middle(rotation),
+        reference,
     )
 
 
-def middle(rotations: Floats) -> Floats:
-    """The rotation amid some, from which angles are small."""
+def angles_amid(rotations: Floats) -> tuple[Floats, Floats]:
+    """Roll, pitch and yaw from the rotation amid some, where they are small; and that rotation.
+
+    Returns:
+        Angles [rad], shape (n, 3), and a rotation, shape (3, 3).
+    """
     from scipy.spatial.transform import Rotation
 
-    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
+    amid = np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
+    return np.array([angles_of(one @ amid.T) for one in rotations]), amid
 
 
 def _renamed(table: Table, columns: Mapping[str, str]) -> Table:
@@ -206,12 +186,10 @@ def _renamed(table: Table, columns: Mapping[str, str]) -> Table:
     return Table(table.path, tuple(names), table.rows, table.lines)
 
 
-def _joint_places(
-    table: Table, drawing: SerialChain | None, turned: tuple[str, ...]
-) -> list[Place]:
+def _joint_places(table: Table, drawing: SerialChain | None, inputs: Sequence[str]) -> list[Place]:
     """The columns of the joints: the drawing's, or all that are named like one."""
     if drawing is not None:
-        return joint_places(drawing.joint_names, drawing.joint_units, (*_POSITION, *turned))
+        return joint_places(drawing.joint_names, drawing.joint_units, inputs)
     found = []
     for name in table.names:
         plain, said = name_and_unit(name)

@@ -18,8 +18,9 @@ from iksamples.files import require_plain
 
 
 _MOST_BYTES, _MOST_CELLS = 500_000_000, 20_000_000
-_NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?")
+_INFINITE = "[-+]?(?i:inf|infinity)"
+_NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?|" + _INFINITE)
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?|" + _INFINITE)
 _MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -49,11 +50,11 @@ class Table:
         return some + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
     def numbers(self, columns: Sequence[int], most: float = sys.float_info.max) -> Floats:
-        """The cells of some columns as finite numbers, shape (rows, columns).
+        """The cells of some columns as numbers, shape (rows, columns).
 
         Args:
             columns: Which.
-            most: The largest that is one, by its size.
+            most: The largest that is one, by its size; infinite: `inf` is one too.
 
         Raises:
             IksamplesError: A cell is no number; the first one is named.
