@@ -198,6 +198,10 @@ REFUSED = {
         lambda t: gzip.compress(text(t).encode())[:99],
         "cannot read the samples",
     ),
+    "a spoilt gzip file": (
+        lambda t: gzip.compress(text(t).encode())[:20] + bytes(99),
+        "cannot read the samples",
+    ),
 }
 
 

@@ -98,9 +98,12 @@ def test_few_postures_that_tell_most_leave_less_open(found):
 
 REFUSED = {
     "degrees": (lambda q: np.degrees(q), "are they in degrees?"),
-    "six joints": (lambda q: q[:, :6], "12 rows of 6 values; give at least 2 rows of 7"),
-    "NaN": (lambda q: np.where(np.arange(12)[:, None] == 4, np.nan, q), "row 5 has a value that"),
-    "one posture": (lambda q: q[:1], "1 rows of 7 values"),
+    "six joints": (lambda q: q[:, :6], "row 1 (line 1) has 6 values, but there are 7 names"),
+    "NaN": (
+        lambda q: np.where(np.arange(12)[:, None] == 4, np.nan, q),
+        "row 5 (line 5) has 'nan' as panda_joint1, which is no plain number",
+    ),
+    "one posture": (lambda q: q[:1], "1 rows; at least 2 are needed"),
 }
 
 

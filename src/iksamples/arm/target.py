@@ -127,6 +127,11 @@ class Target:
         if self.orientation == "axis":
             a, b = rotation[..., 2], wanted[..., 2]
             return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
-        between = np.swapaxes(rotation, -1, -2) @ wanted
-        sine = np.linalg.norm(between - np.swapaxes(between, -1, -2), axis=(-1, -2)) / np.sqrt(8)
-        return np.arctan2(sine, (np.trace(between, axis1=-2, axis2=-1) - 1) / 2)
+        return turn_between(rotation, wanted)
+
+
+def turn_between(first: Floats, second: Floats) -> Floats:
+    """Angles between rotations of shape (..., 3, 3) [rad], in [0, pi]."""
+    between = np.swapaxes(first, -1, -2) @ second
+    sine = np.linalg.norm(between - np.swapaxes(between, -1, -2), axis=(-1, -2)) / np.sqrt(8)
+    return np.arctan2(sine, (np.trace(between, axis1=-2, axis2=-1) - 1) / 2)

@@ -115,9 +115,11 @@ def size(
     assert recording is not None
     if set(given) - {"mm"}:
         raise IksamplesError("records are judged in mm; say what is allowed with --tolerance-mm.")
-    from iksamples.recorded.learn import sized_study
+    from iksamples.plan import require_affordable
+    from iksamples.recorded.learn import learning_curve, sized_study
     from iksamples.recorded.lerobot import is_lerobot
     from iksamples.recorded.sockets import is_sockets
+    from iksamples.recorded.told import told
 
     if not is_lerobot(recording):
         of_lerobot = ["joint_unit", "tool_from_drawing"]
@@ -149,19 +151,11 @@ def size(
         },
         **arm_settings(robot, tip_link),
     }
-    _size_recording(sized_study(settings, where), robot is not None, bool(given))
-
-
-def _size_recording(study: "Study", has_drawing: bool, judged: bool) -> None:
-    from iksamples.plan import require_affordable
-    from iksamples.recorded.learn import learning_curve
-    from iksamples.recorded.told import told
-
+    study = sized_study(settings, where)
     require_affordable(
         study, "Ask for fewer --subsets, or make a study of the recording, with a larger budget."
     )
-    found = learning_curve(study, has_drawing)
-    say("\n".join(told(study, found, judged)))
+    say("\n".join(told(study, learning_curve(study, robot is not None), bool(given))))
 
 
 def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.arm.inverse import Solution
+from iksamples.arm.target import turn_between
 from iksamples.errors import IksamplesError
 from iksamples.recorded.read import Recording
 from iksamples.samples.measured import FEWEST
@@ -59,7 +60,7 @@ def checked(
         IksamplesError: Some records are in other units than the rest, or too few are left.
     """
     whole = np.concatenate([recording.where_mm, recording.joints], axis=1)
-    _, first = np.unique(whole, axis=0, return_index=True)
+    first = first_of_each(whole)
     again = np.setdiff1d(np.arange(len(whole)), first)
     lines = [*recording.remarks]
     if len(again):
@@ -67,7 +68,7 @@ def checked(
             f"{len(again)} of {len(whole)} records stand there twice, the same in every number, "
             f"and are left out ({recording.table.listed(again)})."
         )
-        recording = recording.select(np.sort(first))
+        recording = recording.select(first)
     if len(recording) < fewest:
         raise IksamplesError(
             f"{recording.table.path}: {len(recording)} different records; at least {fewest} are "
@@ -82,7 +83,7 @@ def checked(
     if drawing is None:
         lines += _implausible(recording)
     elif recording.rotation is not None:
-        apart = turned_deg(recording.rotation, drawing.rotation(recording.joints))
+        apart = np.degrees(turn_between(drawing.rotation(recording.joints), recording.rotation))
         if np.median(apart) > _OTHER_FRAME_DEG:
             lines.append(
                 f"the orientations are left out: half of them are {np.median(apart):.0f} deg or "
@@ -92,17 +93,15 @@ def checked(
             inputs = recording.inputs[: len(recording.positions)]
             recording = replace(recording, rotation=None, inputs=inputs, x=recording.where_mm)
     missed = _position_misses(recording, drawing)
-    far = missed > _bound(recording, drawing, missed)
-    _require_one_unit(recording, drawing, missed, far)
+    bound = _bound(missed, _floor(recording), _OFF_PLANE if drawing is None else _OFF)
+    far = missed > bound
+    _require_one_unit(recording, drawing, far, bound)
     return recording, [*lines, *_doubts(recording, drawing, missed, far, reach)]
 
 
-def turned_deg(first: Floats, second: Floats) -> Floats:
-    """Angles between rotations [deg], shapes (n, 3, 3) to (n,)."""
-    from scipy.spatial.transform import Rotation
-
-    between = np.swapaxes(first, -1, -2) @ second
-    return np.degrees(np.asarray(Rotation.from_matrix(between).magnitude()))
+def first_of_each(rows: Floats) -> NDArray[np.intp]:
+    """Indices of rows but for those that an earlier one equals in every number."""
+    return np.sort(np.unique(rows, axis=0, return_index=True)[1])
 
 
 def _floor(recording: Recording) -> float:
@@ -135,7 +134,8 @@ def _off_neighbours(key: Floats, values: Floats, floor: float) -> Floats:
     off = values
     for _ in range(2):
         off = values - _planes(key, values, sound)
-        sound = ~_odd(np.linalg.norm(off, axis=1), floor)
+        missed = np.linalg.norm(off, axis=1)
+        sound = missed <= _bound(missed, floor)
         if sound.sum() < FEWEST:
             break
     return off
@@ -171,25 +171,19 @@ def _planes(key: Floats, values: Floats, sound: Flags) -> Floats:
     return values + plane[:, 0]
 
 
-def _odd(missed: Floats, floor: float) -> Flags:
-    return missed > max(_OFF_PLANE * float(np.median(missed)), floor)
-
-
-def _bound(recording: Recording, drawing: SerialChain | None, missed: Floats) -> float:
-    """The largest miss that is not odd [mm]."""
-    times = _OFF_PLANE if drawing is None else _OFF
-    return max(times * float(np.median(missed)), _floor(recording))
+def _bound(missed: Floats, floor: float, times: float = _OFF_PLANE) -> float:
+    """The largest miss that is not odd."""
+    return max(times * float(np.median(missed)), floor)
 
 
 def _require_one_unit(
-    recording: Recording, drawing: SerialChain | None, missed: Floats, far: Flags
+    recording: Recording, drawing: SerialChain | None, far: Flags, bound: float
 ) -> None:
     """Stops where another unit explains what some records are off by.
 
     Raises:
         IksamplesError: Names the rows.
     """
-    bound = _bound(recording, drawing, missed)
     for kind, factors in _OTHERS.items():
         for factor in factors:
             changed = recording.select(np.ones(len(recording), bool))
@@ -302,11 +296,12 @@ def _doubts(
     turn = recording.joints[:, recording.revolute]
     if reach is None:
         apart = np.linalg.norm(_off_neighbours(recording.x, turn, _FLOOR_RAD), axis=1)
-        other, usual = _odd(apart, _FLOOR_RAD) & ~far, "those of records near by"
+        other, usual = apart > _bound(apart, _FLOOR_RAD), "those of records near by"
     else:
         there = reach(recording.x)
         apart = np.linalg.norm(turn - there.joints[:, recording.revolute], axis=1)
-        other, usual = (apart > _FLOOR_RAD) & there.in_reach & ~far, "the study's"
+        other, usual = (apart > _FLOOR_RAD) & there.in_reach, "the study's"
+    other &= ~far
     if other.any():
         yield (
             f"{np.sum(other)} of {n} records have joints far from {usual}: another branch of the "

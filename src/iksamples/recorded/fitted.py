@@ -7,8 +7,10 @@ import numpy as np
 
 from iksamples.arm.chain import Floats
 from iksamples.arm.real import deviated_pose
+from iksamples.arm.target import Orientation
 from iksamples.calibration.fit import expectation, fit_samples
 from iksamples.calibration.known import Fitted
+from iksamples.calibration.worst import Measured
 from iksamples.recorded.judge import beginning, off_model, whole_set
 from iksamples.recorded.learn import read_checked, recorded_task
 from iksamples.recorded.read import Recording
@@ -98,19 +100,19 @@ def fit_recording(study: Study) -> ArmFit:
         prior_sd,
         off_model(task.drawing, recording, every)[0],
         held_out,
-        tuple(_model_mm(fitted, prior_sd, recording, times) for times in TIMES),
+        _model_mm(study, fitted, recording),
     )
 
 
-def _model_mm(fitted: Fitted, prior_sd: Floats, recording: Recording, times: int) -> float:
-    """The model's uncertainty with so many times the information that the records gave."""
-    scale = prior_sd.ravel()
-    # In units of the prior: information is the inverse covariance, one of it the prior's.
-    whitened = fitted.covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(whitened)
-    # Some direction no record tells of: there it is the prior, widened if the fit had to.
-    prior = 1 / max(1.0, float(values.max()))
-    covariance = (vectors / (times * np.maximum(1 / values - prior, 0) + prior)) @ vectors.T
-    linear = deviated_pose(fitted.drawing, fitted.deviations, recording.joints)[2]
-    by = linear[:, recording.positions] * scale
-    return float(np.sqrt(np.mean(np.einsum("nki,ij,nkj->n", by, covariance, by))))
+def _model_mm(study: Study, fitted: Fitted, recording: Recording) -> tuple[float, ...]:
+    """The model's uncertainty with ``TIMES`` as many records like these."""
+    noise_rad = expectation(study.recording.assumed)[2]
+    turned: Orientation = "free" if recording.rotation is None else "fixed"
+    measured = Measured(fitted.noise_mm, noise_rad, tuple(recording.positions), turned)
+    informs = measured.informs(fitted, recording.joints)
+    # As much as all of them tell, in no more rows than there are parameters.
+    told = np.linalg.qr(informs.reshape(-1, informs.shape[-1]), mode="r")
+    by = deviated_pose(fitted.drawing, fitted.deviations, recording.joints)[2]
+    left = [fitted.expecting(np.sqrt(times - 1) * told).root for times in TIMES]
+    moved = [by[:, recording.positions] @ root for root in left]
+    return tuple(float(np.sqrt(np.mean(np.sum(one**2, axis=(1, 2))))) for one in moved)

@@ -9,12 +9,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from iksamples.arm.chain import Floats, SerialChain
-from iksamples.arm.target import Target
+from iksamples.arm.target import Target, turn_between
 from iksamples.calibration.fit import fit_samples
 from iksamples.errors import IksamplesError
 from iksamples.methods.predictor import NotApplicableError, attempt
 from iksamples.methods.registry import fit_or_failed
-from iksamples.recorded.doubts import turned_deg
 from iksamples.recorded.read import Recording
 from iksamples.region import Region
 from iksamples.samples.dataset import SampleSet
@@ -26,18 +25,6 @@ from iksamples.task import Space, Task
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMNS = (
-    "method",
-    "design",
-    "n_samples",
-    "seed",
-    "record",
-    "error_mm",
-    "angle_deg",
-    "joint_deg",
-    "failed",
-)
-"""Columns of what is judged: ``judged`` says what they hold."""
 _STREAM = 50
 """Stream of an order's generator, beside its number."""
 _KNOWS_ARM = ("nominal", "calibrated", "residual")
@@ -134,9 +121,9 @@ def judged(
         task: Its task; None: no drawing is known.
 
     Returns:
-        A row per method, size, order and record held out: ``COLUMNS``, where ``seed`` is the
-        order, ``record`` the record's index, and an angle or joint error that is not known is NaN
-        (``joint_deg``: the joint that is off farthest [deg]). ``failed`` says why the method had no
+        A row per method (and ``design``), size (``n_samples``), order (``seed``) and record held
+        out (``record``, its index): ``error_mm``, ``angle_deg`` and ``joint_deg`` (of the joint
+        that is off farthest), NaN where it is not known, and ``failed``, why the method had no
         answer, empty where it had. And why a method has no row.
 
     Raises:
@@ -167,7 +154,7 @@ def judged(
             left_out[name] = str(error).removeprefix(f"{method.kind}: ")
     if not frames:
         raise IksamplesError(f"{recording.table.path}: no method can use these records.")
-    return pd.concat(frames, ignore_index=True)[list(COLUMNS)], left_out
+    return pd.concat(frames, ignore_index=True), left_out
 
 
 def _models(
@@ -181,15 +168,22 @@ def _models(
     """Models of the arm: the drawing, or what is fitted to it."""
     if kind == "nominal":
         rows = np.arange(len(recording))
-        yield _frame(0, 0, rows, *off_model(task.drawing, recording, rows))
+        yield frame(0, 0, rows, *off_model(task.drawing, recording, rows))
         return
+    for n, seed, held, part in _beginnings(study, whole, some):
+        fitted, why = attempt(f"{kind} on {n} records", partial(fit_samples, task, part))
+        nothing = np.full(len(held), np.inf), np.full(len(held), np.nan)
+        off = off_model(fitted.chain, recording, held) if fitted else nothing
+        yield frame(n, seed, held, *off).assign(failed=why)
+
+
+def _beginnings(
+    study: Study, whole: SampleSet, some: Orders
+) -> Iterator[tuple[int, int, Any, SampleSet]]:
+    """Size, order, the records that judge, and the records that are learned from."""
     for n in study.sizes:
         for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
-            part = beginning(whole, learned[:n])
-            fitted, why = attempt(f"{kind} on {n} records", partial(fit_samples, task, part))
-            nothing = np.full(len(held), np.inf), np.full(len(held), np.nan)
-            off = off_model(fitted.chain, recording, held) if fitted else nothing
-            yield _frame(n, seed, held, *off).assign(failed=why)
+            yield n, seed, held, beginning(whole, learned[:n])
 
 
 def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floats, Floats]:
@@ -199,7 +193,7 @@ def off_model(model: SerialChain, recording: Recording, rows: Any) -> tuple[Floa
     off = np.linalg.norm(position[:, seen] - recording.where_mm[rows], axis=1)
     if recording.rotation is None:
         return off, np.full(len(off), np.nan)
-    return off, turned_deg(rotation, recording.rotation[rows])
+    return off, np.degrees(turn_between(rotation, recording.rotation[rows]))
 
 
 def _fitted(
@@ -213,13 +207,10 @@ def _fitted(
     """Methods that learn joints without being trained."""
     if kind == "residual":
         _require_drawn(recording, task)
-    for n in study.sizes:
-        for seed, (learned, held) in enumerate(zip(some.learned, some.held, strict=True)):
-            part = beginning(whole, learned[:n])
-            fitted = fit_or_failed(kind, task, part)  # type: ignore[arg-type]
-            answers = fitted.predict(whole.x[held])[0]
-            table = _of_joints(n, seed, held, answers, recording, task)
-            yield table.assign(failed=fitted.failed)
+    for n, seed, held, part in _beginnings(study, whole, some):
+        fitted = fit_or_failed(kind, task, part)  # type: ignore[arg-type]
+        answers = fitted.predict(whole.x[held])[0]
+        yield _of_joints(n, seed, held, answers, recording, task).assign(failed=fitted.failed)
 
 
 def _require_drawn(recording: Recording, task: Task | None) -> None:
@@ -283,9 +274,9 @@ def _of_joints(
         if recording.rotation is not None:
             sound = np.flatnonzero(np.isfinite(off))
             angle = np.full(len(q), np.inf)
-            angle[sound] = turned_deg(turned[sound], own[sound])
+            angle[sound] = np.degrees(turn_between(turned[sound], own[sound]))
     off = np.where(np.isfinite(off), off, np.inf)
-    return _frame(n, seed, held, off, angle, joint_deg)
+    return frame(n, seed, held, off, angle, joint_deg)
 
 
 def _first_order(recording: Recording, rows: Any, moved: Floats) -> Floats:
@@ -311,9 +302,10 @@ def _first_order(recording: Recording, rows: Any, moved: Floats) -> Floats:
     return found
 
 
-def _frame(
-    n: int, seed: int, rows: Any, error_mm: Floats, angle_deg: Floats, joint_deg: Any = np.nan
+def frame(
+    n: int, seed: int, rows: Any, error_mm: Floats, angle_deg: Any = np.nan, joint_deg: Any = np.nan
 ) -> "pd.DataFrame":
+    """Rows of what is judged: ``judged`` says what they hold."""
     import pandas as pd
 
     return pd.DataFrame(

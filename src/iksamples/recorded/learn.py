@@ -1,14 +1,15 @@
 """A learning curve from records: which study is made of them, and what they say."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
-from iksamples.arm.chain import Floats, SerialChain, angles_of
+from iksamples.arm.chain import Floats, angles_of
 from iksamples.columns import ANGLES, ERRORS
 from iksamples.errors import IksamplesError
 from iksamples.files import require_plain
@@ -19,7 +20,6 @@ from iksamples.recorded.lerobot import is_lerobot, read_lerobot
 from iksamples.recorded.read import Recording, read_recording
 from iksamples.recorded.sockets import (
     FILES,
-    Places,
     is_sockets,
     judged_sockets,
     n_held_places,
@@ -29,7 +29,7 @@ from iksamples.recorded.sockets import (
 from iksamples.region import Region
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import sample_set
-from iksamples.study import Recorded, Study, Workspace, parse_study
+from iksamples.study import Study, Workspace, parse_study
 from iksamples.task import Task, study_chain, study_task
 from iksamples.text import several
 
@@ -172,6 +172,9 @@ def _is_kept(path: Path) -> bool:
         return False
 
 
+_Judge = Callable[[], "tuple[pd.DataFrame, dict[str, str]]"]
+
+
 def learning_curve(study: Study, has_drawing: bool = True) -> Learned:
     """What a recording says: every method on beginnings of its orders, judged by the rest.
 
@@ -182,49 +185,42 @@ def learning_curve(study: Study, has_drawing: bool = True) -> Learned:
     Raises:
         IksamplesError: The records cannot be read or used, or are too few.
     """
+    head, doubts, judge = _opened(study, has_drawing)
+    return Learned(head, doubts, *judge())
+
+
+def looked_at(study: Study) -> tuple[str, list[str]]:
+    """What a study's recording is, and what is odd about it; nothing is learned."""
+    return _opened(study, has_drawing=True)[:2]
+
+
+def _opened(study: Study, has_drawing: bool) -> tuple[str, list[str], _Judge]:
+    """What a recording is, what is odd about it, and what judges methods on it."""
     settings = study.recording
+    how = f"In each of {settings.subsets} random orders"
     if has_drawing:
         study.require_own_arm()
     if settings.kind == "sockets":
         drawing = study_chain(study)
         places = read_places(settings, drawing)
-        rows, left_out = judged_sockets(study, drawing, places)
-        return Learned(*_of_sockets(settings, drawing, places), rows, left_out)
+        n = sum(len(postures) for sockets in places.values() for postures in sockets)
+        head = (
+            f"{several(n, 'posture')} with the tool in the sockets of "
+            f"{several(len(places), 'place')}. {how} of the places "
+            f"{n_held_places(settings, places)} judge, and the others are learned from, "
+            f"{settings.postures_per_place} postures in each before the next."
+        )
+        judge = partial(judged_sockets, study, drawing, places)
+        return head, odd_postures(places, drawing), judge
     recording, doubts = read_checked(study, has_drawing)
     task = recorded_task(study, recording) if has_drawing else None
-    return Learned(_of_table(study, recording), doubts, *judged(study, recording, task))
-
-
-def looked_at(study: Study) -> tuple[str, list[str]]:
-    """What a study's recording is, and what is odd about it; nothing is learned."""
-    settings = study.recording
-    study.require_own_arm()
-    if settings.kind == "sockets":
-        drawing = study_chain(study)
-        return _of_sockets(settings, drawing, read_places(settings, drawing))
-    recording, doubts = read_checked(study, has_drawing=True)
-    orders(study, len(recording))
-    return _of_table(study, recording), doubts
-
-
-def _of_table(study: Study, recording: Recording) -> str:
-    n, settings = len(recording), study.recording
-    return (
-        f"{several(n, 'record')} ({', '.join(recording.inputs)}; "
-        f"{', '.join(recording.joint_names)}). In each of {settings.subsets} random orders "
-        f"{n_held(study, n)} judge, and the others are learned from."
-    )
-
-
-def _of_sockets(settings: Recorded, drawing: SerialChain, places: Places) -> tuple[str, list[str]]:
-    n = sum(len(postures) for sockets in places.values() for postures in sockets)
+    some = orders(study, len(recording))
     head = (
-        f"{several(n, 'posture')} with the tool in the sockets of {several(len(places), 'place')}. "
-        f"In each of {settings.subsets} random orders of the places "
-        f"{n_held_places(settings, places)} judge, and the others are learned from, "
-        f"{settings.postures_per_place} postures in each before the next."
+        f"{several(len(recording), 'record')} ({', '.join(recording.inputs)}; "
+        f"{', '.join(recording.joint_names)}). {how} {some.held.shape[1]} judge, and the others "
+        "are learned from."
     )
-    return head, odd_postures(places, drawing)
+    return head, doubts, partial(judged, study, recording, task)
 
 
 def recorded_task(study: Study, recording: Recording) -> Task:

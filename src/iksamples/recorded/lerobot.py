@@ -13,7 +13,7 @@ import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
 from iksamples.errors import IksamplesError, in_a_line
-from iksamples.recorded.doubts import MOST_RAD
+from iksamples.recorded.doubts import MOST_RAD, first_of_each
 from iksamples.recorded.read import ANGLES, Recording, angles_amid
 from iksamples.samples.measured import FEWEST, POSITION, plain
 from iksamples.samples.table import Table
@@ -65,8 +65,7 @@ def read_lerobot(settings: Recorded, drawing: SerialChain | None) -> Recording:
             "or --tool-from-drawing (samples.recorded.tool_from_drawing) computes it, and what is "
             "learned is then the drawing, at the postures that were used."
         )
-    _, first = np.unique(joints, axis=0, return_index=True)
-    kept = np.sort(first)
+    kept = first_of_each(joints)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))]
     if len(kept) < FEWEST:
         raise IksamplesError(

@@ -5,8 +5,6 @@ postures. A model of the arm is right if it has the ball in one point in all pos
 and the two points as far apart as the sockets are.
 """
 
-import io
-import warnings
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -19,10 +17,11 @@ from iksamples.calibration.design import in_points
 from iksamples.calibration.fit import expectation, fit_sockets
 from iksamples.calibration.known import Fitted, Prior
 from iksamples.calibration.worst import Measured
-from iksamples.errors import IksamplesError, in_a_line
-from iksamples.files import read_bytes
+from iksamples.errors import IksamplesError
 from iksamples.methods.predictor import attempt
-from iksamples.recorded.doubts import MOST_RAD
+from iksamples.recorded.doubts import MOST_RAD, first_of_each
+from iksamples.recorded.judge import frame
+from iksamples.samples.table import read_table
 from iksamples.study import Design, Recorded, Study
 
 
@@ -36,7 +35,6 @@ FILES = ("hole_0.csv", "hole_1.csv")
 FEWEST = 2
 """Postures of a point, below which it says nothing."""
 _STREAM = 60
-_MOST_BYTES = 50_000_000
 
 
 def is_sockets(folder: Path) -> bool:
@@ -72,20 +70,10 @@ def read_places(settings: Recorded, drawing: SerialChain) -> Places:
 
 
 def _postures(path: Path, drawing: SerialChain) -> Floats:
-    content = read_bytes(path, _MOST_BYTES, "the joint values")
-    try:
-        with warnings.catch_warnings(action="error"):  # of a file without a number
-            found = np.loadtxt(io.BytesIO(content), delimiter=",", ndmin=2)
-    except (ValueError, UserWarning) as error:
-        raise IksamplesError(f"{path}: no table of joint values ({in_a_line(error)}).") from None
-    if found.shape[1] != drawing.n_joints or len(found) < FEWEST:
-        raise IksamplesError(
-            f"{path}: {len(found)} rows of {found.shape[1]} values; give at least {FEWEST} rows of "
-            f"{drawing.n_joints}, one value for each of {', '.join(drawing.joint_names)}."
-        )
-    bad = np.flatnonzero(~np.isfinite(found).all(axis=1))
-    if len(bad):
-        raise IksamplesError(f"{path}: row {bad[0] + 1} has a value that is no finite number.")
+    table = read_table(path, names=drawing.joint_names)
+    found = table.numbers(range(drawing.n_joints))
+    if len(found) < FEWEST:
+        raise IksamplesError(f"{path}: {len(found)} rows; at least {FEWEST} are needed.")
     if np.any(np.abs(found[:, drawing.revolute]) > MOST_RAD):
         raise IksamplesError(f"{path}: angles beyond {MOST_RAD:.3g} rad; are they in degrees?")
     return found
@@ -102,8 +90,7 @@ def odd_postures(places: Places, drawing: SerialChain) -> list[str]:
                     f"{name}/{file}: {len(outside)} of {len(postures)} postures are outside the "
                     f"joint limits (row {outside[0] + 1} first)."
                 )
-            _, first = np.unique(postures, axis=0, return_index=True)
-            again = np.setdiff1d(np.arange(len(postures)), first)
+            again = np.setdiff1d(np.arange(len(postures)), first_of_each(postures))
             if len(again):
                 lines.append(
                     f"{name}/{file}: {len(again)} of {len(postures)} postures stand there twice "
@@ -250,32 +237,14 @@ def _judged(
     """How consistent a model is in some places."""
     import pandas as pd
 
-    records = np.cumsum([0, *(len(one) for sockets in places.values() for one in sockets)])
-    first = {
-        (name, socket): int(records[len(FILES) * i + socket])
-        for i, name in enumerate(places)
-        for socket in range(len(FILES))
-    }
-    rows, apart = [], []
+    first = np.cumsum([0, *(len(one) for sockets in places.values() for one in sockets)])
+    rows, apart, order = [], [], list(places)
     for name in held:
         balls = [model.forward_mm(postures) for postures in places[name]]
         centres = [ball.mean(axis=0) for ball in balls]
         distance = float(np.linalg.norm(centres[0] - centres[1]))
         apart.append(abs(distance - settings.socket_distance_mm))
         for socket, (ball, centre) in enumerate(zip(balls, centres, strict=True)):
-            rows.append(
-                pd.DataFrame(
-                    {
-                        "record": first[name, socket] + np.arange(len(ball)),
-                        "error_mm": np.linalg.norm(ball - centre, axis=1),
-                    }
-                )
-            )
-    return pd.concat(rows).assign(
-        n_samples=0,
-        seed=0,
-        angle_deg=np.nan,
-        joint_deg=np.nan,
-        failed="",
-        apart_mm=float(np.mean(apart)),
-    )
+            records = first[len(FILES) * order.index(name) + socket] + np.arange(len(ball))
+            rows.append(frame(0, 0, records, np.linalg.norm(ball - centre, axis=1)))
+    return pd.concat(rows).assign(apart_mm=float(np.mean(apart)))

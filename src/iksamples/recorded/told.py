@@ -97,10 +97,9 @@ def verdict(one: VariantAnswer, runs: str) -> str:
 def asked(tolerance: Tolerance, unit: str, runs: str) -> str:
     """What is required: ``at least 80 % of runs within 2 mm, with 95 % confidence``."""
     who = runs if tolerance.best_of == 1 else f"times that {tolerance.best_of} {runs} are made"
-    return (
-        f"at least {percent(tolerance.success_share)} of {who} within "
-        f"{quantity(tolerance.error_mm, unit)}, with {percent(tolerance.confidence)} confidence"
-    )
+    limit = f"{tolerance.error_mm:g} {unit}".rstrip()
+    share, sure = percent(tolerance.success_share), percent(tolerance.confidence)
+    return f"at least {share} of {who} within {limit}, with {sure} confidence"
 
 
 def sizes_table(sizes: list[Size], unit: str, judged: bool) -> list[str]:
@@ -158,11 +157,6 @@ def beyond(one: VariantAnswer) -> list[str]:
             else f"Not extrapolated: {far.reason}. Next: record until there are {n}, and ask again."
         )
     return lines
-
-
-def quantity(value: float, unit: str) -> str:
-    """A number as its author wrote it, with its unit."""
-    return f"{value:g} {unit}".rstrip()
 
 
 def number(value: float, way: Callable[[float], float] = round) -> str:

@@ -5,6 +5,7 @@ import gzip
 import io
 import re
 import sys
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
 from iksamples.errors import IksamplesError, in_a_line
-from iksamples.files import require_plain
+from iksamples.files import read_bytes
 
 
 _MOST_BYTES, _MOST_CELLS = 500_000_000, 20_000_000
@@ -75,7 +76,7 @@ class Table:
         return found.reshape(len(cells), len(columns))
 
 
-def read_table(path: str | Path, most_rows: int = _MOST_CELLS) -> Table:
+def read_table(path: str | Path, most_rows: int = _MOST_CELLS, names: Sequence[str] = ()) -> Table:
     """Reads a table.
 
     Text may be gzipped, in UTF-8 or UTF-16, with or without a byte order mark; its columns are
@@ -85,6 +86,7 @@ def read_table(path: str | Path, most_rows: int = _MOST_CELLS) -> Table:
     Args:
         path: The file.
         most_rows: Rows of the largest that is read.
+        names: What its columns are, where it is a text without names; empty: it has them.
 
     Raises:
         IksamplesError: One line: not such a file, no names, no rows, or a row with more or fewer
@@ -92,7 +94,7 @@ def read_table(path: str | Path, most_rows: int = _MOST_CELLS) -> Table:
     """
     path = Path(path)
     content = _content(path)
-    if content.startswith(b"PAR1"):
+    if content.startswith(b"PAR1") and not names:
         return _parquet(path, content, most_rows)
     if content.startswith(b"PK"):
         raise IksamplesError(f"{path}: a spreadsheet or an archive; save it as CSV.")
@@ -106,18 +108,17 @@ def read_table(path: str | Path, most_rows: int = _MOST_CELLS) -> Table:
         raise IksamplesError(f"{path}: the file is empty.")
     if text.lstrip()[0] in "{[<":
         raise IksamplesError(f"{path}: no table (it looks like JSON or HTML); save it as CSV.")
-    return _text(path, text, most_rows)
+    return _text(path, text, most_rows, names)
 
 
 def _content(path: Path) -> bytes:
+    content = read_bytes(path, _MOST_BYTES, "the samples")
+    if not content.startswith(b"\x1f\x8b"):
+        return content
     try:
-        require_plain(path)
-        with path.open("rb") as file:
-            content = file.read(_MOST_BYTES + 1)
-        if content.startswith(b"\x1f\x8b"):
-            with gzip.open(io.BytesIO(content)) as packed:
-                content = packed.read(_MOST_BYTES + 1)
-    except (OSError, ValueError, EOFError) as error:
+        with gzip.open(io.BytesIO(content)) as packed:
+            content = packed.read(_MOST_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
         raise IksamplesError(f"{path}: cannot read the samples ({in_a_line(error)}).") from None
     if len(content) > _MOST_BYTES:
         raise IksamplesError(f"{path}: over {_MOST_BYTES // 10**6} MB; record fewer rows.")
@@ -149,21 +150,23 @@ def _parquet(path: Path, content: bytes, most_rows: int) -> Table:
     return _with_rows(Table(path, tuple(table.column_names), rows))
 
 
-def _text(path: Path, text: str, most_rows: int) -> Table:
+def _text(path: Path, text: str, most_rows: int, names: Sequence[str]) -> Table:
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     kept = [(n, line) for n, line in lines if line.lstrip()[0] not in "#%"]
     if not kept:
         raise IksamplesError(f"{path}: there are only comments.")
-    first, above = lines.index(kept[0]), ""
-    if first and _is_numbers(_split(kept[0][1], _separator(kept[0][1]))):
-        above = lines[first - 1][1].lstrip("#% \t")  # where numpy.savetxt writes the names
-    names_line = above or kept.pop(0)[1]
-    separator = _separator(names_line)
-    names = [name.strip() for name in _split(names_line, separator)]
-    if _is_numbers(names):
-        raise IksamplesError(
-            f"{path}: no names above the columns; write a first line such as x_mm,y_mm,z_mm,..."
-        )
+    separator = _separator(kept[0][1])
+    if not names:
+        first, above = lines.index(kept[0]), ""
+        if first and _is_numbers(_split(kept[0][1], separator)):
+            above = lines[first - 1][1].lstrip("#% \t")  # where numpy.savetxt writes the names
+        names_line = above or kept.pop(0)[1]
+        separator = _separator(names_line)
+        names = [name.strip() for name in _split(names_line, separator)]
+        if _is_numbers(names):
+            raise IksamplesError(
+                f"{path}: no names above the columns; write a first line such as x_mm,y_mm,z_mm,..."
+            )
     _require_room(path, len(kept), len(names), most_rows)
     split = [(n, _split(line, separator)) for n, line in kept]
     split = [(n, row) for n, row in split if "".join(row).strip()]  # empty rows of a spreadsheet
