@@ -29,16 +29,7 @@ if TYPE_CHECKING:
     from iksamples.recorded.poses import Calibration
 
 _POSES = 10
-_OF_CALIBRATION = (
-    "tip_link",
-    "tolerance_mm",
-    "confidence",
-    "box",
-    "anywhere",
-    "noise_mm",
-    "deviation_mm",
-    "deviation_rad",
-)
+_OF_NETWORKS = {"study_file", "samples_file", "output", "count", "strategy", "weights", "column"}
 
 
 class Strategy(StrEnum):
@@ -142,7 +133,7 @@ def next_(
     if study_file is not None and strategy is not Strategy.CALIBRATION:
         if samples_file is None:
             raise IksamplesError("--samples: name the samples that the networks learn from.")
-        refuse_unused(context, _OF_CALIBRATION, "where networks are asked")
+        refuse_unused(context, context.params.keys() - _OF_NETWORKS, "to networks")
         from iksamples.answer.next_poses import next_poses
         from iksamples.recorded.learn import read_samples
 

@@ -21,18 +21,8 @@ if TYPE_CHECKING:
     from iksamples.study import Study
 
 
-_OF_RECORDS = (
-    "robot",
-    "tip_link",
-    "column",
-    "joint_unit",
-    "tool_from_drawing",
-    "socket_distance_mm",
-    "subsets",
-    "seed",
-    "of",
-)
-_OPTIONS = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
+_TOLERANCES = {"": "--tolerance", "mm": "--tolerance-mm", "deg": "--tolerance-deg"}
+_OF_CURVES = {"curve", "tolerance", "tolerance_mm", "tolerance_deg", "success_share", "confidence"}
 
 
 @app.command()
@@ -108,7 +98,7 @@ def size(
         "--subsets or --seed"
     )
     if curve is not None:
-        refuse_unused(context, _OF_RECORDS, "to a learning curve")
+        refuse_unused(context, context.params.keys() - _OF_CURVES, "to a learning curve")
         study = parse_study({"name": "recorded", "tolerance": asked}, where)
         _size_curve(study, curve, given)
         return
@@ -168,7 +158,7 @@ def _size_curve(study: "Study", curve: Path, given: dict[str, float]) -> None:
     if given and unit not in given:
         raise IksamplesError(
             f"{curve}: its errors are {f'in {unit}' if unit else 'without a unit'}; say what is "
-            f"allowed with {_OPTIONS[unit]}, or the unit in the column's name, such as error_mm."
+            f"allowed with {_TOLERANCES[unit]}, or the unit in the column's name, such as error_mm."
         )
     one = answer(study, outcomes(study, runs)).variants[0]
     lines = [f"{curve}: {len(runs)} runs of {len(one.sizes)} sizes."]
