@@ -259,6 +259,14 @@ def test_samples_of_the_branch_that_the_study_does_not_have_are_named(recorded, 
     assert any("27 of 27 records have joints far from the study's" in line for line in lines)
 
 
+def test_an_arm_off_its_drawing_is_said_to_be(recorded, tmp_path):
+    """Alike in all records, so that none of them is odd."""
+    study, task, _, table = recorded
+    (tmp_path / "arm.csv").write_text(text(table.assign(x_mm=table.x_mm + 2)))
+    [line] = read_samples(study, task, tmp_path / "arm.csv")[1]
+    assert "half of the records are 2 mm or more from where the drawing puts the tool" in line
+
+
 def test_angles_that_a_task_asks_for_are_read_as_they_are(tmp_path):
     """Beyond half a turn too, where roll, pitch and yaw of a rotation would come back smaller."""
     study = read_study("config/studies/scara.yaml")

@@ -42,6 +42,8 @@ ABOUT, JUDGED = "recorded.json", "judged.parquet"
 MEASURED = "measured"
 """What the design of samples is called that a study's networks learn from."""
 _FEWEST, _MOST_SIZES = 4, 8
+_OFF_MM = 1.0
+"""How far off its drawing an arm is told to be."""
 _USUAL: dict[str, Any] = {
     "network": {"hidden": [16], "activation": "tanh"},
     "training": {"optimizer": "levenberg-marquardt", "epochs": 200},
@@ -157,6 +159,12 @@ def read_samples(
         return samples, []
     found = read_recording(path, task.drawing, columns, 2, task.x.names)
     found, doubts = checked(found, task.drawing, 2, task.reach)
+    off_mm = float(np.median(task.target.position_error_mm(task.drawing, found.joints, found.x)))
+    if off_mm > _OFF_MM:
+        doubts.append(
+            f"half of the records are {off_mm:.3g} mm or more from where the drawing puts the "
+            "tool, by which poses are proposed and errors told."
+        )
     label = f"{MEASURED}{len(found)}"
     return sample_set(study, task, label, MEASURED, found.x, found.joints), doubts
 
