@@ -34,10 +34,25 @@ pytestmark = pytest.mark.slow
 def planned(folder, *arguments):
     """Names of the rules a dry run would run."""
     out = snakemake(folder, "-n", "--cores", "2", *arguments).stdout
-    if "Nothing to be done" in out:
-        return set()
+    return set() if "Nothing to be done" in out else rules_of(out)
+
+
+def rules_of(out):
+    """Names of the rules that a run, or a dry run, says it runs."""
     rows = out.split("Job stats:")[1].split("total")[0].splitlines()
     return {row.split()[0] for row in rows[3:] if row.strip()} - {"all"}
+
+
+def contents(folder):
+    """Every file and folder, what is in it and when it was written; but what is Snakemake's own."""
+    return {
+        str(path.relative_to(folder)): (
+            path.is_file() and path.read_bytes(),
+            path.stat().st_mtime_ns,
+        )
+        for path in folder.rglob("*")
+        if ".snakemake" not in path.parts
+    }
 
 
 HOSTILE = """
@@ -94,7 +109,9 @@ def test_another_folder_uses_it_as_a_module(tmp_path):
         "    config: config\n"
         "use rule * from iksamples\n"
     )
+    before = contents(tmp_path)
     assert {"train", "report"} <= planned(tmp_path)
+    assert contents(tmp_path) == before
     snakemake(tmp_path, "results/tiny/samples/grid2.parquet", "--cores", "1")
     assert (tmp_path / "results/tiny/samples/grid2.parquet").exists()
     # Read as strictly as ever, and a part of a larger configuration as Snakemake gives it.
@@ -107,7 +124,7 @@ def test_another_folder_uses_it_as_a_module(tmp_path):
     snakefile.write_text(
         snakefile.read_text().replace("config: config\n", 'config: config["arm"]\n')
     )
-    assert "train" in planned(tmp_path)
+    snakemake(tmp_path, "results/part/samples/grid2.parquet", "--cores", "1")
     assert '"seeds": 4' in (tmp_path / "results/part/study.json").read_text()
 
 
@@ -239,6 +256,35 @@ def flip(file):
     file.write_bytes(content)
 
 
+def test_a_dry_run_changes_nothing(project, tmp_path):
+    fresh, folder = project_copy(tmp_path / "fresh"), tmp_path / "finished"
+    shutil.copytree(project, folder)
+    makers = {
+        "results/tiny/samples/grid2.parquet": "samples",
+        "results/tiny/network/grid3/weights.safetensors": "train",
+        "results/tiny/network/certificates.csv": "prove",
+        "results/tiny/answer.json": "answer",
+        "results/tiny/recordings/heart.rrd": "record",
+        "reports/tiny/index.html": "report",
+    }
+    command = ("--cores", "2", "--configfile", TINY)
+    for place in (fresh, folder):
+        before = contents(place)
+        planned(place, *command)
+        assert contents(place) == before
+    kept = {
+        file.suffix for file in folder.rglob("*") if file.with_name(f".{file.name}.sha256").exists()
+    }
+    assert kept - {"", ".md"} == {Path(file).suffix for file in makers}
+    for file in makers:
+        cut(folder / file)
+    # Nor is forgotten what an earlier run could not log.
+    (folder / "results/tiny/tracking.json").write_text('{"command": "iksamples track"}')
+    before = contents(folder)
+    assert planned(folder, *command) >= {*makers.values(), "track"}
+    assert contents(folder) == before
+
+
 @pytest.mark.parametrize(
     ("damage", "file"),
     [
@@ -257,9 +303,11 @@ def test_what_was_damaged_is_noticed_and_made_again(project, tmp_path, damage, f
     damage(damaged)
     os.utime(damaged, ns=(times.st_atime_ns, times.st_mtime_ns))  # a disk changes no times
     target = "results/tiny/answer.json"
-    asked = (target, file)
-    done = snakemake(folder, *asked, "--cores", "2", "--configfile", TINY)
-    assert f"{file}: not as it was written (SHA-256); it is made again." in done.stderr
+    asked = (target, file, "--cores", "2", "--configfile", TINY)
+    plan = planned(folder, *asked)
+    done = snakemake(folder, *asked)
+    assert rules_of(done.stderr) == plan
+    assert f"{file}: not as it was written (SHA-256); a run makes it again." in done.stderr
     assert damaged.read_bytes() == before
     assert (folder / target).read_bytes() == (project / target).read_bytes()
 

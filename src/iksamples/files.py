@@ -108,7 +108,7 @@ def put_aside(path: Path) -> Path | None:
     Args:
         path: A file or a folder of files.
     """
-    if not path.exists() or not digest_file(path).exists() or is_intact(path):
+    if not is_damaged(path):
         return None
     aside = path.with_name(f"{path.name}.damaged")
     with suppress(OSError):  # a folder that cannot be written to
@@ -176,6 +176,11 @@ def stored_object(path: Path, kinds: Mapping[str, type]) -> dict[str, Any]:
     ):
         raise IksamplesError(f"{path}: not as it was written. Run the study again.")
     return found
+
+
+def is_damaged(path: Path) -> bool:
+    """Whether a file or a folder of files has a digest and is not as it was written."""
+    return path.exists() and digest_file(path).exists() and not is_intact(path)
 
 
 def is_intact(path: Path) -> bool:

@@ -41,11 +41,9 @@ rule collect:
     resources:
         **asked(STUDY, "collect"),
     params:
-        study="results/{study}/study.json",
-        code=source_digest("iksamples.answer.collect"),
-        results=results_folder,
+        **told("collect", "iksamples.answer.collect"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples collect {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("collect {params.study:q} --results {params.results:q}")
 
 
 rule table:
@@ -71,14 +69,12 @@ rule table:
     resources:
         **asked(STUDY, "table"),
     params:
-        study="results/{study}/study.json",
+        **told("table", "iksamples.paper.gather"),
         settings=settings(
             "robot", "task", "workspace", "samples", "evaluation", "bounds"
         ),
-        code=source_digest("iksamples.paper.gather"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples table {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("table {params.study:q} --results {params.results:q}")
 
 
 rule answer:
@@ -96,7 +92,7 @@ rule answer:
     resources:
         **asked(STUDY, "answer"),
     params:
-        study="results/{study}/study.json",
+        **told("answer", "iksamples.answer.assess"),
         settings=settings(
             "arm",
             "samples",
@@ -106,10 +102,8 @@ rule answer:
             "training",
             "network",
         ),
-        code=source_digest("iksamples.answer.assess"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("answer {params.study:q} --results {params.results:q}")
 
 
 rule replicate:
@@ -126,7 +120,14 @@ rule replicate:
     resources:
         **asked(STUDY, "replicate"),
     params:
-        study="results/{study}/study.json",
+        **told(
+            "replicate",
+            "iksamples.answer.replication",
+            "iksamples.answer.collect",
+            "iksamples.training.run",
+            "iksamples.evaluation.errors",
+            "iksamples.certify.step",
+        ),
         settings=settings(
             "robot",
             "arm",
@@ -137,14 +138,8 @@ rule replicate:
             "bounds",
             "replication",
         ),
-        code=source_digest(
-            "iksamples.answer.replication",
-            "iksamples.answer.collect",
-            "iksamples.training.run",
-            "iksamples.evaluation.errors",
-            "iksamples.certify.step",
-        ),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples replicate {params.study:q} --results {params.results:q} --output {output:q}'
-        " 2> >(tee {log:q} >&2)"
+        iksamples(
+            "replicate {params.study:q} --results {params.results:q}",
+            "--output {output:q}",
+        )

@@ -27,44 +27,18 @@ rule bounds:
     resources:
         **asked(STUDY, "bounds"),
     params:
-        study="results/{study}/study.json",
+        **told("bounds", "iksamples.paper.equations"),
         arm=ARM,
         settings=settings("robot", "task", "workspace", "evaluation", "bounds"),
-        code=source_digest("iksamples.paper.equations"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples bounds {params.study:q} {input.samples:q} --folder {params.results:q}/network 2> >(tee {log:q} >&2)'
-
-
-rule prove_part:
-    """The same as `prove` for some of a method's networks."""
-    input:
-        weights,
-        samples=samples_of,
-    output:
-        temp("results/{study}/{method}/certificates/{seeds}.csv"),
-    log:
-        "results/{study}/logs/prove/{method}-{seeds}.log",
-    benchmark:
-        "results/{study}/benchmarks/prove/{method}-{seeds}.jsonl"
-    resources:
-        **asked(STUDY, "prove"),
-    params:
-        study="results/{study}/study.json",
-        arm=ARM,
-        settings=settings("robot", "arm", "task", "workspace"),
-        tightness=settings(
-            bounds={"sup_rtol", "sup_atol_deg", "mean_rtol", "mean_atol_mm"}
-        ),
-        code=source_digest("iksamples.certify.step"),
-        results=results_folder,
-    shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
-        " --seeds {wildcards.seeds} --folder {params.results:q}/{wildcards.method} --output {output:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "bounds {params.study:q} {input.samples:q}",
+            "--folder {params.results:q}/network",
+        )
 
 
 rule prove:
-    """The worst and the mean error of a method over the workspace, proved for every network."""
+    """The worst and the mean error over the workspace, proved for networks of a method."""
     input:
         weights,
         samples=samples_of,
@@ -78,19 +52,34 @@ rule prove:
     resources:
         **asked(STUDY, "prove"),
     params:
-        study="results/{study}/study.json",
+        **told("prove", "iksamples.certify.step"),
         arm=ARM,
         settings=settings("robot", "arm", "task", "workspace"),
         tightness=settings(
             bounds={"sup_rtol", "sup_atol_deg", "mean_rtol", "mean_atol_mm"}
         ),
         kind=lookup("{method}", within=KINDS),
-        code=source_digest("iksamples.certify.step"),
-        results=results_folder,
-        proved=options("--proved", "parts"),
+        share=options("--proved", "parts"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples prove {params.study:q} {input.samples:q} --method {wildcards.method}'
-        " --folder {params.results:q}/{wildcards.method} --output {output:q} {params.proved:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "prove {params.study:q} {input.samples:q} --method {wildcards.method}",
+            "--folder {params.results:q}/{wildcards.method}",
+            "--output {output:q} {params.share:q}",
+        )
+
+
+use rule prove as prove_part with:
+    input:
+        weights,
+        samples=samples_of,
+    output:
+        temp("results/{study}/{method}/certificates/{seeds}.csv"),
+    log:
+        "results/{study}/logs/prove/{method}-{seeds}.log",
+    benchmark:
+        "results/{study}/benchmarks/prove/{method}-{seeds}.jsonl"
+    params:
+        share="--seeds={seeds}",
 
 
 rule map:
@@ -117,12 +106,10 @@ rule map:
     resources:
         **asked(STUDY, "map"),
     params:
-        study="results/{study}/study.json",
+        **told("map", "iksamples.certify.step", "iksamples.evaluation.slices"),
         arm=ARM,
         settings=settings(
             "robot", "arm", "task", "workspace", "evaluation", "tolerance"
         ),
-        code=source_digest("iksamples.certify.step", "iksamples.evaluation.slices"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples map {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("map {params.study:q} --results {params.results:q}")

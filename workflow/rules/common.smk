@@ -13,7 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from iksamples.errors import IksamplesError
-from iksamples.files import put_aside, require_plain, whole_file
+from iksamples.files import is_damaged, put_aside, require_plain, whole_file
 from iksamples.jobs import parts
 from iksamples.plan import require_affordable
 from iksamples.plan import resources as asked
@@ -77,11 +77,14 @@ def the_study():
     return read_study(*study_files(), changes=study_changes())
 
 
-def lock_this_folder():
-    """Lets one run at a time work here.
+def start_run():
+    """Lets one run at a time work here, and writes the study, defaults filled in, for its jobs.
 
     Snakemake's own lock outlives a killed run and has to be removed by hand; this one is the
     operating system's and ends with the process (profiles/default switches the other one off).
+
+    The study is not an input of the jobs: each re-runs when the settings among its params change.
+    (As an `ancient` output of a rule, a changed study would hide the jobs below that rule.)
     """
     try:
         LOCK.acquire(timeout=0)
@@ -89,33 +92,60 @@ def lock_this_folder():
         stop("another run is working in this folder; wait for it or stop it.")
     except OSError as error:
         stop(f"cannot write into this folder, {os.getcwd()} ({error.strerror}).")
+    with whole_file(f"results/{STUDY.name}/study.json") as file:
+        file.write_text(STUDY.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
-def put_damaged_aside(files):
-    """Takes results that a disk or a hand has changed out of the way, so that they are made again.
+def make_again(files):
+    """Has results made again that a disk or a hand has changed, and what could not be logged.
 
     Snakemake looks at times and not at what is in a file; so a result that no job reads again, or
-    one whose time is the same, would stay as it is.
+    one whose time is the same, would stay as it is. A run takes these files out of the way; a dry
+    run changes nothing, so it plans their jobs as if these were about to do something else.
     """
     if not workflow.is_main_process:
         return
     # Beside another run, whose files may be on their way, nothing is looked at.
     with contextlib.suppress(Timeout, OSError), LOCK.acquire(timeout=0):
-        for file in filter(put_aside, map(Path, files)):
+        damaged = {file for file in files if is_damaged(Path(file))}
+        for file in sorted(damaged):
             print(
-                f"Note: {file}: not as it was written (SHA-256); it is made again.",
+                f"Note: {file}: not as it was written (SHA-256); a run makes it again.",
                 file=sys.stderr,
             )
+        if workflow.output_settings.dryrun:
+            AGAIN.update(damaged, {str(MANIFEST)} if "command" in tracked() else ())
+            return
+        for file in damaged:
+            put_aside(Path(file))
+        if "command" in tracked():
+            MANIFEST.unlink()
 
 
-def write_study():
-    """Writes the study, defaults filled in, for the jobs to read.
+def results_folder(wildcards):
+    """The study's folder of results."""
+    return f"results/{wildcards.study}"
 
-    It is not an input of theirs: each re-runs when the settings among its params change. (As an
-    `ancient` output of a rule, a changed study would hide the jobs below that rule from Snakemake.)
-    """
-    with whole_file(f"results/{STUDY.name}/study.json") as file:
-        file.write_text(STUDY.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+def told(rule, *modules):
+    """What the command of a rule is told, and a digest of its sources."""
+    digest = source_digest(*modules)
+
+    def code(wildcards):
+        made = expand(getattr(rules, rule).output, **dict(wildcards.items()))
+        return digest if AGAIN.isdisjoint(made) else "made again"
+
+    return {
+        "study": "results/{study}/study.json",
+        "results": results_folder,
+        "code": code,
+    }
+
+
+def iksamples(*words, logged=True):
+    """A command of the package; what it says on the way is also kept in the rule's log."""
+    log = " 2> >(tee {log:q} >&2)" if logged else ""
+    return f'"$IKSAMPLES_PYTHON" -P -m iksamples {" ".join(words)}{log}'
 
 
 # What a study says reaches the rules through functions: Snakemake takes braces in plain values,
@@ -153,11 +183,6 @@ def samples_of(wildcards):
         study=wildcards.study,
         samples=sample_sets(STUDY, method=wildcards.method),
     )
-
-
-def results_folder(wildcards):
-    """The study's folder of results."""
-    return f"results/{wildcards.study}"
 
 
 def weights(wildcards):
@@ -248,17 +273,13 @@ try:
 except IksamplesError as error:
     stop(error)
 ARM = digest_of(STUDY.robot.urdf, "robot.urdf")
-WAYPOINTS = [digest_of(file, "evaluation.paths") for file in STUDY.evaluation.files]
 
 if STUDY.tracking.uri:
     # What is kept of the study lacks its password, so the job that tracks it is told here.
     os.environ.update(MLFLOW_TRACKING_URI=STUDY.tracking.uri)
 
 MANIFEST = Path(f"results/{STUDY.name}/tracking.json")
-if "command" in tracked() and workflow.is_main_process:
-    # It says only that nothing could be logged; this run tries again.
-    with contextlib.suppress(OSError):
-        MANIFEST.unlink()
+AGAIN = set()  # what a dry run would make again
 
 # Of networks, and of all methods: one that is not trained can have its own.
 LABELS = list(sample_sets(STUDY, method="network"))
@@ -269,10 +290,19 @@ UNTRAINED = {name: kind for name, kind in KINDS.items() if kind != "network"}
 FLOOR = STUDY.arm is not None and not STUDY.arm.repeats
 ADAPTIVE = "adaptive" in STUDY.designs()
 
-# Of a module, Snakemake calls no `onstart`, and here it is not known yet whether this is a dry run.
-if not workflow.modifier.is_main_snakefile() and workflow.is_main_process:
-    lock_this_folder()
-    write_study()
+PAGE = {
+    "html": report("reports/{study}/index.html", category="Report"),
+    "markdown": "reports/{study}/README.md",
+    "figures": directory("reports/{study}/figures"),
+}
+
+# Of a module, Snakemake calls no `onstart`.
+if (
+    workflow.is_main_process
+    and not workflow.modifier.is_main_snakefile()
+    and not workflow.output_settings.dryrun
+):
+    start_run()
 
 
 wildcard_constraints:

@@ -11,6 +11,14 @@ OUTPUTS
     results/<study>/floor/errors.parquet, where arms do not repeat exactly
 """
 
+MEASURED = {
+    "arm": ARM,
+    "waypoints": [
+        digest_of(file, "evaluation.paths") for file in STUDY.evaluation.files
+    ],
+    "settings": settings("robot", "arm", "task", "workspace", "evaluation"),
+}
+
 
 rule evaluate:
     """Measure the position error of every seed through the forward kinematics."""
@@ -33,15 +41,13 @@ rule evaluate:
     resources:
         **asked(STUDY, "evaluate"),
     params:
-        study="results/{study}/study.json",
-        arm=ARM,
-        waypoints=WAYPOINTS,
-        settings=settings("robot", "arm", "task", "workspace", "evaluation"),
-        code=source_digest("iksamples.evaluation.errors"),
-        results=results_folder,
+        **told("evaluate", "iksamples.evaluation.errors"),
+        **MEASURED,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} --method {wildcards.network}'
-        " --results {params.results:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "evaluate {params.study:q} {input.samples:q} --method {wildcards.network}",
+            "--results {params.results:q}",
+        )
 
 
 # A rule needs an output, and a study may compare no such method.
@@ -68,17 +74,15 @@ if UNTRAINED:
         resources:
             **asked(STUDY, "evaluate"),
         params:
-            study="results/{study}/study.json",
-            arm=ARM,
-            waypoints=WAYPOINTS,
-            settings=settings("robot", "arm", "task", "workspace", "evaluation"),
+            **told("evaluate_untrained", "iksamples.evaluation.errors"),
+            **MEASURED,
             kinds=UNTRAINED,
-            code=source_digest("iksamples.evaluation.errors"),
             methods=[f"--method={name}" for name in UNTRAINED],
-            results=results_folder,
         shell:
-            '"$IKSAMPLES_PYTHON" -P -m iksamples evaluate {params.study:q} {input.samples:q} {params.methods}'
-            " --results {params.results:q} 2> >(tee {log:q} >&2)"
+            iksamples(
+                "evaluate {params.study:q} {input.samples:q} {params.methods}",
+                "--results {params.results:q}",
+            )
 
 
 if FLOOR:
@@ -96,11 +100,7 @@ if FLOOR:
         resources:
             **asked(STUDY, "evaluate"),
         params:
-            study="results/{study}/study.json",
-            arm=ARM,
-            waypoints=WAYPOINTS,
-            settings=settings("robot", "arm", "task", "workspace", "evaluation"),
-            code=source_digest("iksamples.evaluation.errors"),
+            **told("floor", "iksamples.evaluation.errors"),
+            **MEASURED,
         shell:
-            '"$IKSAMPLES_PYTHON" -P -m iksamples floor {params.study:q} {input.samples:q} --output {output:q}'
-            " 2> >(tee {log:q} >&2)"
+            iksamples("floor {params.study:q} {input.samples:q} --output {output:q}")

@@ -20,13 +20,14 @@ rule search:
     resources:
         **asked(STUDY, "search"),
     params:
-        study="results/{study}/study.json",
+        **told("search", "iksamples.paper.readings"),
         arm=ARM,
         settings=settings(readings={"count", "seed", "seeds", "jobs"}),
-        code=source_digest("iksamples.paper.readings"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples readings search {params.study:q} --part {wildcards.part} --output {output:q}'
-        " 2> >(tee {log:q} >&2)"
+        iksamples(
+            "readings search {params.study:q} --part {wildcards.part}",
+            "--output {output:q}",
+        )
 
 
 rule confirm:
@@ -44,13 +45,14 @@ rule confirm:
     resources:
         **asked(STUDY, "confirm"),
     params:
-        study="results/{study}/study.json",
+        **told("confirm", "iksamples.paper.readings"),
         arm=ARM,
         settings=settings(readings={"best", "fresh_seeds", "jobs"}),
-        code=source_digest("iksamples.paper.readings"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples readings confirm {params.study:q} {input.searched:q} --part {wildcards.part}'
-        " --output {output:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "readings confirm {params.study:q} {input.searched:q}",
+            "--part {wildcards.part} --output {output:q}",
+        )
 
 
 rule rank:
@@ -65,10 +67,11 @@ rule rank:
     resources:
         **asked(STUDY, "rank"),
     params:
-        code=source_digest("iksamples.paper.readings"),
+        **told("rank", "iksamples.paper.readings"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples readings rank {input:q} --output {output.ranked:q}'
-        " --best {output.best:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "readings rank {input:q} --output {output.ranked:q} --best {output.best:q}",
+        )
 
 
 rule page:
@@ -77,19 +80,17 @@ rule page:
         expand("results/{{study}}/search/{part}.csv", part=range(STUDY.readings.jobs)),
         "results/{study}/readings.csv",
     output:
-        html=report("reports/{study}/index.html", category="Report"),
-        markdown="reports/{study}/README.md",
-        figures=directory("reports/{study}/figures"),
+        **PAGE,
     log:
         "results/{study}/logs/page.log",
     resources:
         **asked(STUDY, "page"),
     params:
-        study="results/{study}/study.json",
+        **told("page", "iksamples.report.readings"),
         settings=settings("title", "readings"),
-        code=source_digest("iksamples.report.readings"),
-        results=results_folder,
         folder=subpath(output.html, parent=True),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples readings report {params.study:q} --results {params.results:q}'
-        " --output {params.folder:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "readings report {params.study:q} --results {params.results:q}",
+            "--output {params.folder:q}",
+        )

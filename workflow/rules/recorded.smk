@@ -22,14 +22,12 @@ rule learn:
     resources:
         **asked(STUDY, "learn"),
     params:
-        study="results/{study}/study.json",
+        **told("learn", "iksamples.recorded.learn"),
         arm=ARM,
         recording=recording_digest(),
         settings=settings("robot", "task", "samples", "network", "training", "methods"),
-        code=source_digest("iksamples.recorded.learn"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples learn {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("learn {params.study:q} --results {params.results:q}")
 
 
 rule size:
@@ -43,12 +41,10 @@ rule size:
     resources:
         **asked(STUDY, "size"),
     params:
-        study="results/{study}/study.json",
+        **told("size", "iksamples.answer.assess"),
         settings=settings("tolerance"),
-        code=source_digest("iksamples.answer.assess"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples answer {params.study:q} --results {params.results:q} 2> >(tee {log:q} >&2)'
+        iksamples("answer {params.study:q} --results {params.results:q}")
 
 
 rule describe:
@@ -57,20 +53,18 @@ rule describe:
         rules.learn.output,
         rules.size.output,
     output:
-        html=report("reports/{study}/index.html", category="Report"),
-        markdown="reports/{study}/README.md",
-        figures=directory("reports/{study}/figures"),
+        **PAGE,
     log:
         "results/{study}/logs/report.log",
     resources:
         **asked(STUDY, "describe"),
     params:
-        study="results/{study}/study.json",
+        **told("describe", "iksamples.report.recorded"),
         settings=settings(),
-        code=source_digest("iksamples.report.recorded"),
-        results=results_folder,
         folder=subpath(output.html, parent=True),
         command=typed_command,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples report {params.study:q} --results {params.results:q}'
-        " --output {params.folder:q} --command {params.command:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "report {params.study:q} --results {params.results:q}",
+            "--output {params.folder:q} --command {params.command:q}",
+        )

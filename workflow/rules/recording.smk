@@ -32,11 +32,11 @@ rule record:
     resources:
         **asked(STUDY, "record"),
     params:
-        study="results/{study}/study.json",
+        **told("record", "iksamples.recording.record"),
         arm=ARM,
         settings=settings("robot", "arm", "task", "workspace", "evaluation"),
-        code=source_digest("iksamples.recording.record"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples record {params.study:q} --results {params.results:q}'
-        " --output {params.results:q}/recordings 2> >(tee {log:q} >&2)"
+        iksamples(
+            "record {params.study:q} --results {params.results:q}",
+            "--output {params.results:q}/recordings",
+        )

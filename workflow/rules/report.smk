@@ -36,9 +36,7 @@ rule report:
             table=["training_bound", "unsafe", "slices"],
         ),
     output:
-        html=report("reports/{study}/index.html", category="Report"),
-        markdown="reports/{study}/README.md",
-        figures=directory("reports/{study}/figures"),
+        **PAGE,
     log:
         "results/{study}/logs/report.log",
     benchmark:
@@ -46,13 +44,13 @@ rule report:
     resources:
         **asked(STUDY, "report"),
     params:
-        study="results/{study}/study.json",
+        **told("report", "iksamples.report.write"),
         arm=ARM,
         settings=settings(),
-        code=source_digest("iksamples.report.write"),
-        results=results_folder,
         folder=subpath(output.html, parent=True),
         command=typed_command,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples report {params.study:q} --results {params.results:q}'
-        " --output {params.folder:q} --command {params.command:q} 2> >(tee {log:q} >&2)"
+        iksamples(
+            "report {params.study:q} --results {params.results:q}",
+            "--output {params.folder:q} --command {params.command:q}",
+        )

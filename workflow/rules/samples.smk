@@ -19,17 +19,16 @@ rule samples:
     resources:
         **asked(STUDY, "samples"),
     params:
-        study="results/{study}/study.json",
+        **told(
+            "samples",
+            "iksamples.samples.record",
+            *(["iksamples.answer.adaptive"] if ADAPTIVE else []),
+        ),
         arm=ARM,
         settings=settings("robot", "arm", "task", "workspace", "samples"),
         arms=list(STUDY.arms),
         held_out=settings(training={"held_out"}),
         # What an adaptive set depends on besides: the networks that choose its points.
         guides=settings("network", "training") if ADAPTIVE else None,
-        code=source_digest(
-            "iksamples.samples.record",
-            *(["iksamples.answer.adaptive"] if ADAPTIVE else []),
-        ),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples samples {params.study:q} --output {params.results:q}/samples 2> >(tee {log:q} >&2)'
+        iksamples("samples {params.study:q} --output {params.results:q}/samples")

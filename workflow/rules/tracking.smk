@@ -27,9 +27,10 @@ rule track:
     resources:
         **asked(STUDY, "track"),
     params:
-        study="results/{study}/study.json",
+        **told("track", "iksamples.tracking.track"),
         settings=settings(),
-        code=source_digest("iksamples.tracking.track"),
-        results=results_folder,
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples track {params.study:q} --results {params.results:q} --output {output:q} --or-later 2> >(tee {log:q} >&2)'
+        iksamples(
+            "track {params.study:q} --results {params.results:q} --output {output:q}",
+            "--or-later",
+        )

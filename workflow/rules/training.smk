@@ -21,29 +21,8 @@ def training_threads(wildcards):
     return 1 if sum(method.seconds for method in methods) < 5 else 2
 
 
-rule train_part:
-    """Train some seeds of every network on every set of samples."""
-    input:
-        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
-    output:
-        temp(directory("results/{study}/parts/{seeds}")),
-    benchmark:
-        "results/{study}/benchmarks/train/{seeds}.jsonl"
-    threads: training_threads
-    resources:
-        **asked(STUDY, "train"),
-    params:
-        study="results/{study}/study.json",
-        settings=settings("network", "training", "methods"),
-        code=source_digest("iksamples.training.run"),
-        results=results_folder,
-    shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples train {params.study:q} {input.samples:q}'
-        " --seeds {wildcards.seeds} --cache {output:q} --trained {params.results:q}/cache"
-
-
 rule train:
-    """Train every seed of every network on every set of samples."""
+    """Train the seeds of every network on every set of samples, or a part of the seeds."""
     input:
         samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
         parts=expand("results/{{study}}/parts/{seeds}", seeds=parts(STUDY)),
@@ -65,11 +44,24 @@ rule train:
     resources:
         **asked(STUDY, "train"),
     params:
-        study="results/{study}/study.json",
+        **told("train", "iksamples.training.run"),
         settings=settings("network", "training", "methods"),
-        code=source_digest("iksamples.training.run"),
-        results=results_folder,
+        into=["--output=results/{study}", "--cache=results/{study}/cache"],
         trained=options("--trained", "parts"),
     shell:
-        '"$IKSAMPLES_PYTHON" -P -m iksamples train {params.study:q} {input.samples:q}'
-        " --output {params.results:q} --cache {params.results:q}/cache {params.trained:q}"
+        iksamples(
+            "train {params.study:q} {input.samples:q} {params.into:q} {params.trained:q}",
+            logged=False,
+        )
+
+
+use rule train as train_part with:
+    input:
+        samples=expand("results/{{study}}/samples/{samples}.parquet", samples=LABELS),
+    output:
+        temp(directory("results/{study}/parts/{seeds}")),
+    benchmark:
+        "results/{study}/benchmarks/train/{seeds}.jsonl"
+    params:
+        into=["--seeds={seeds}", "--cache=results/{study}/parts/{seeds}"],
+        trained="--trained=results/{study}/cache",
