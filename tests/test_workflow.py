@@ -325,6 +325,18 @@ def test_a_report_with_a_damaged_or_lost_figure_is_made_again(project, tmp_path,
     assert planned(folder, "--configfile", TINY) == set()
 
 
+@pytest.mark.parametrize("damage", [flip, cut, Path.unlink])
+def test_a_damaged_or_lost_front_page_is_made_again(project, tmp_path, damage):
+    folder = tmp_path / "damaged"
+    shutil.copytree(project, folder)
+    front = folder / "reports/index.html"
+    before = front.read_bytes()
+    damage(front)
+    snakemake(folder, "--cores", "2", "--configfile", TINY)
+    assert front.read_bytes() == before
+    assert planned(folder, "--configfile", TINY) == set()
+
+
 @pytest.mark.parametrize(
     "file",
     ["network/grid2/weights.safetensors", "network/grid3/errors.parquet", "certificates.csv"],

@@ -13,7 +13,13 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from iksamples.errors import IksamplesError
-from iksamples.files import is_damaged, put_aside, require_plain, whole_file
+from iksamples.files import (
+    is_damaged,
+    is_intact,
+    put_aside,
+    require_plain,
+    whole_file,
+)
 from iksamples.jobs import parts
 from iksamples.plan import require_affordable
 from iksamples.plan import resources as asked
@@ -120,6 +126,15 @@ def make_again(files):
             put_aside(Path(file))
         if "command" in tracked():
             MANIFEST.unlink()
+        # The page of all studies is no rule's output: that of each study is written with it.
+        front = Path("reports/index.html")
+        if Path(f"reports/{STUDY.name}/index.html").exists() and not is_intact(front):
+            from iksamples.report.write import write_front_page
+
+            try:
+                write_front_page(front.parent, "docs/studies")
+            except IksamplesError as error:
+                stop(error)
 
 
 def results_folder(wildcards):

@@ -227,16 +227,13 @@ def write_front_page(reports: str | Path, kept: str | Path) -> None:
             body = to_html(
                 text, {name: f'<div class="drawing">{one}</div>' for name, one in pictures.items()}
             )
-            _write(reports / links[name], page(found["title"], body))
+            with whole_file(reports / links[name]) as file:
+                file.write_text(page(found["title"], body), encoding="utf-8")
     body = html_environment().get_template("front.html.j2").render(studies=studies)
-    _write(reports / "index.html", page(Markup("iksamples: studies"), body))
+    with kept_file(reports / "index.html") as file:
+        file.write_text(page(Markup("iksamples: studies"), body), encoding="utf-8")
 
 
 def _inline(picture: Path) -> Markup:
     data = base64.b64encode(picture.read_bytes()).decode()
     return Markup(f'<img alt="{picture.stem}" src="data:image/png;base64,{data}">')
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as file:
-        file.write_text(text, encoding="utf-8")
