@@ -1,6 +1,7 @@
 """Files spoilt in every way, and what may come of them: a result, or a refusal in words."""
 
 import copy
+import gzip
 import io
 import json
 import re
@@ -322,6 +323,7 @@ def csvs(table: pd.DataFrame) -> st.SearchStrategy[bytes]:
     return st.one_of(
         spoilt(whole, few=True),
         spoilt(whole),
+        spoilt(whole.map(lambda one: gzip.compress(one, mtime=0)), few=True),
         st.builds(lambda one, name: one.decode("utf-8", "replace").encode(name, "replace"),
                   spoilt(whole, few=True), other),
         st.text().map(lambda text: text.encode("utf-8", "surrogatepass")),
