@@ -213,7 +213,7 @@ def test_the_file_is_certified_as_the_study_was(results, tmp_path):
     [direct] = prove(ours, task.drawing, task.region, task.target, rtol=rtol)["position"]
     read = load_network(
         written, (3, 3), fed=fed_as(["mm"] * 3, ["m"], None, None),
-        read=read_as(["revolute"] * 3, ["deg"], None, None),
+        read=read_as(["rad"] * 3, ["deg"], None, None),
     )  # fmt: skip
     [again] = prove(read, task.drawing, task.region, task.target, rtol=rtol)["position"]
     for bound in (direct.upper, again.upper):

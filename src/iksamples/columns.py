@@ -1,6 +1,7 @@
 """Every column of the tables that leave the package, its unit and meaning, and reading them."""
 
 from collections.abc import Sequence
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,6 +11,14 @@ from iksamples.files import checked
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+UNITS = {
+    "mm": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
+    "rad": {"rad": 1.0, "deg": pi / 180, "degrees": pi / 180, "°": pi / 180},
+    "": {"": 1.0},
+}
+"""Unit here -> units that a name may say, and what a value in it is multiplied by."""
 
 
 class Column(NamedTuple):

@@ -1,6 +1,7 @@
 """The exceptions that are meant for people, and text of others as part of a line."""
 
 import re
+from collections.abc import Sequence
 
 
 _STEERS = re.compile(
@@ -31,6 +32,11 @@ def one_line(text: str) -> str:
     becomes a space.
     """
     return _STEERS.sub(" ", text)
+
+
+def some_of(names: Sequence[str], most: int = 12) -> str:
+    """The first of some names, and how many more: ``a, b and 3 more``."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def in_a_line(error: BaseException) -> str:

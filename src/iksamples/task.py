@@ -53,12 +53,17 @@ class Space:
         return len(self.names)
 
     @property
+    def lengths(self) -> NDArray[np.bool_]:
+        """Which coordinates are lengths, shape (coordinates,); the others are angles."""
+        return np.array([unit == "mm" for unit in self.units])
+
+    @property
     def as_lengths(self) -> Floats:
         """What makes coordinates lengths that can be compared [1 or mm/rad], shape (coordinates,).
 
         One for a length; the longest angle's range counts as much as the longest length's.
         """
-        range_, lengths = self.upper - self.lower, np.array([unit == "mm" for unit in self.units])
+        range_, lengths = self.upper - self.lower, self.lengths
         if lengths.all():
             return np.ones(len(self))
         return np.where(lengths, 1.0, range_[lengths].max() / range_[~lengths].max())

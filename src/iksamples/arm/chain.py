@@ -92,13 +92,10 @@ class SerialChain:
         return np.array(moved)
 
     def rotation(self, joints: ArrayLike) -> Floats:
-        """Rotation of the tool: its axes as columns in the base frame.
+        """Rotation of the tool: its axes as columns in the base frame, shape (..., 3, 3).
 
         Args:
             joints: Joint values [rad or mm], shape (..., joints).
-
-        Returns:
-            Rotation matrices, shape (..., 3, 3).
         """
         return self._frames(joints)[3]
 
@@ -282,6 +279,8 @@ def angles_of(rotation: Floats) -> Floats:
 
 Kind = Literal["revolute", "continuous", "prismatic", "fixed"]
 MOST_METRES = 1e4
+MOST_READ, MOST_MOVING = 500, 32
+"""Of a file, fixed ones too, and between base and tool; no arm has so many, and each takes time."""
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
@@ -341,10 +340,10 @@ def assemble(joints: Iterable[Joint]) -> SerialChain:
         frame = frame @ joint.after
     if not names:
         raise IksamplesError("no moving joint between the base and the tool.")
-    if len(names) > 32:
+    if len(names) > MOST_MOVING:
         raise IksamplesError(
-            f"{len(names)} moving joints between the base and the tool; no more than 32 are read. "
-            "Choose another base or tip link, or make some joints fixed."
+            f"{len(names)} moving joints between the base and the tool; no more than {MOST_MOVING} "
+            "are read. Choose another base or tip link, or make some joints fixed."
         )
     lower, upper = np.array(limits).T
     chain = SerialChain(

@@ -20,12 +20,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from iksamples.arm.chain import KINDS, MM_PER_M, Floats, Joint, Kind, SerialChain, assemble, number
+from iksamples.arm.chain import KINDS, MOST_READ, Floats, Joint, Kind, SerialChain, assemble, number
+from iksamples.columns import UNITS
 from iksamples.errors import IksamplesError
 from iksamples.files import read_bytes
 
 
-_UNITS = {"mm": 1 / MM_PER_M, "m": 1.0, "deg": np.pi / 180, "rad": 1.0}
 _LENGTHS, _ANGLES = ("mm", "m"), ("deg", "rad")
 _ALLOWED = {
     "a": _LENGTHS,
@@ -59,10 +59,8 @@ def dh_joints(path: Path, content: bytes) -> list[Joint]:
         )
     if not rows:
         raise IksamplesError("no joints in the table.")
-    from iksamples.arm.urdf import MOST_JOINTS
-
-    if len(rows) > MOST_JOINTS:
-        raise IksamplesError(f"{len(rows)} joints; no more than {MOST_JOINTS} are read.")
+    if len(rows) > MOST_READ:
+        raise IksamplesError(f"{len(rows)} joints; no more than {MOST_READ} are read.")
     joints = [_joint(i, row, convention == "modified") for i, row in enumerate(rows, 1)]
     names = [joint.name for joint in joints]
     for name in names:
@@ -128,7 +126,9 @@ def _joint(number_of: int, row: dict[str, Any], modified: bool) -> Joint:
             _check_limit(kind, key, unit, where)
         if isinstance(value, bool):
             raise IksamplesError(f"{where}: {key} is {value}, not a number.")
-        values[quantity] = number(str(value), f"{where}: {key}") * _UNITS[unit]
+        known = UNITS["mm" if unit in _LENGTHS else "rad"]
+        factor = known[unit] / known.get("m", 1)  # metres, or rad
+        values[quantity] = number(str(value), f"{where}: {key}") * factor
     if len(values.keys() & {"lower", "upper"}) == 1:
         raise IksamplesError(f"{where} has only one limit; give both or none.")
     limits = (values["lower"], values["upper"]) if "lower" in values else None

@@ -198,7 +198,7 @@ class Follower:
         linear, angular = chain.jacobians(self._home)
         levers = _norm(linear.T)[_norm(angular.T) > 0]
         self.length_mm = float(np.sqrt(np.mean(levers**2))) if np.any(levers) else 100.0
-        self._weight = np.where(np.array(chain.joint_units) == "mm", self.length_mm, 1.0)
+        self._weight = np.where(chain.revolute, 1.0, self.length_mm)
         self.rank = 0
         self.rank = self._generic_rank()
 

@@ -11,13 +11,11 @@ from xml.parsers import expat
 
 import numpy as np
 
-from iksamples.arm.chain import KINDS, Floats, Joint, Kind, number, roll_pitch_yaw
-from iksamples.errors import IksamplesError
+from iksamples.arm.chain import KINDS, MOST_READ, Floats, Joint, Kind, number, roll_pitch_yaw
+from iksamples.errors import IksamplesError, some_of
 
 
 _DEEPEST = 100
-MOST_JOINTS = 500
-"""Of a file, fixed ones too; no arm has so many, and each takes time."""
 
 
 @dataclass
@@ -53,8 +51,8 @@ def urdf_joints(content: bytes, base_link: str | None, tip_link: str | None) -> 
     if robot.tag != "robot":
         raise IksamplesError(f"a file of <{robot.tag}>, not of <robot>: not a URDF.")
     links = _names(robot, "link")
-    if (n := len(robot.all("joint"))) > MOST_JOINTS:
-        raise IksamplesError(f"{n} joints; no more than {MOST_JOINTS} are read.")
+    if (n := len(robot.all("joint"))) > MOST_READ:
+        raise IksamplesError(f"{n} joints; no more than {MOST_READ} are read.")
     joints = dict(zip(_names(robot, "joint"), robot.all("joint"), strict=True))
     if not links:
         macros = [child.tag for child in robot.children if ":" in child.tag]
@@ -157,13 +155,13 @@ def _between(
     """Names of the joints from the base to the tip."""
     for link in (base, tip):
         if link is not None and link not in links:
-            raise IksamplesError(f"no link '{link}'; the links are {_listed(links)}.")
+            raise IksamplesError(f"no link '{link}'; the links are {some_of(links)}.")
     roots = [link for link in links if link not in above]
     if not roots:
         raise IksamplesError("the links go round in a loop; a URDF is a tree, so cut it.")
     if base is None and tip is None and len(roots) > 1:
         raise IksamplesError(
-            f"{len(roots)} links hang from no other ({_listed(roots)}); say which is the base "
+            f"{len(roots)} links hang from no other ({some_of(roots)}); say which is the base "
             "(--base-link, or robot.base_link in a study), or delete the rest."
         )
     if tip is None:
@@ -194,7 +192,7 @@ def _only_tip(links: list[str], above: dict[str, tuple[str, str]], base: str) ->
     tips = [link for link in links if link in below and link not in children]
     if len(tips) != 1:
         raise IksamplesError(
-            f"the arm has {len(tips)} end links ({_listed(tips)}); say which is the tool "
+            f"the arm has {len(tips)} end links ({some_of(tips)}); say which is the tool "
             "(--tip-link, or robot.tip_link in a study)."
         )
     return tips[0]
@@ -256,7 +254,3 @@ def _vector(
     if len(values) != 3:
         raise IksamplesError(f"{what} is '{text}': {len(values)} numbers instead of 3.")
     return values
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")

@@ -176,7 +176,7 @@ def postures(
 
 def _brought(chain: SerialChain, joints: Floats, axes: list[int], x: Floats) -> Floats:
     """The postures near to some that have the tool in some points; NaN where none is found."""
-    weight = np.where(np.array(chain.joint_units) == "mm", 100.0, 1.0)
+    weight = np.where(chain.revolute, 1.0, 100.0)
     joints, left = joints.copy(), np.arange(len(joints))
     for _ in range(_NEWTON_STEPS):
         off = x[left] - chain.forward_mm(joints[left])[:, axes]

@@ -204,7 +204,7 @@ def certify(
         key=key,
         fed=fed,
         read=read_as(
-            chain.joint_kinds,
+            chain.joint_units,
             output_unit or (),
             _numbers("--output-offset", output_offset),
             _numbers("--output-scale", output_scale),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from iksamples.columns import UNITS
 from iksamples.errors import IksamplesError, one_line
 from iksamples.network import StackedMLP
 from iksamples.task import Space
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 
 Weights = NDArray[np.float32]
-
-_PER_UNIT = {"mm": 1.0, "rad": 1.0, "m": 1e-3, "deg": 180.0 / np.pi}
-_OURS = {"mm": "mm", "m": "mm", "rad": "rad", "deg": "rad"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +55,16 @@ def plain_network(
         x: Its inputs.
         q: Its joints.
         input_unit: ``mm`` or ``m`` for lengths among the inputs; angles are in rad.
-        output_units: At most one of ``rad``, ``deg`` and one of ``mm``, ``m``.
+        output_units: At most one of ``rad``, ``deg`` and one of ``mm``, ``m``, as ``read_as`` has
+            checked.
 
     Raises:
-        IksamplesError: A unit is unknown, or a number is too large for float32.
+        IksamplesError: The inputs' unit is unknown, or a number is too large for float32.
     """
     if input_unit not in ("mm", "m"):
         raise IksamplesError(f"--input-unit {input_unit}: give mm or m.")
-    unknown = [unit for unit in output_units if unit not in _OURS]
-    if unknown:
-        raise IksamplesError(f"--output-unit {unknown[0]}: give {', '.join(_OURS)}.")
-    wanted = {_OURS[unit]: unit for unit in output_units}
     given = [input_unit if unit == "mm" else unit for unit in x.units]
-    asked = [wanted.get(unit, unit) for unit in q.units]
+    asked = [next((one for one in output_units if one in UNITS[unit]), unit) for unit in q.units]
     with np.errstate(over="ignore"):
         numbers = PlainNetwork(
             tuple(
@@ -77,10 +72,10 @@ def plain_network(
                 for weight, bias in zip(network.weights, network.biases, strict=True)
             ),
             network.activation,
-            np.array([1000.0 if unit == "m" else 1.0 for unit in given], np.float32),
+            np.array([UNITS[a][b] for a, b in zip(x.units, given, strict=True)], np.float32),
             network.offset.astype(np.float32),
             network.scale.astype(np.float32),
-            np.array([_PER_UNIT[unit] for unit in asked], np.float32),
+            np.array([1 / UNITS[a][b] for a, b in zip(q.units, asked, strict=True)], np.float32),
             tuple(zip(x.names, given, strict=True)),
             tuple(zip(q.names, asked, strict=True)),
         )

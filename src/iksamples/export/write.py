@@ -164,9 +164,8 @@ def export(
         IksamplesError: A unit is wrong, or the checker cannot prove a bound.
     """
     task = study_task(choice.study, choice.cell.samples.region)
+    read = read_as(task.q.units, output_units, None, None)
     network = plain_network(choice.network, task.x, task.q, input_unit, output_units)
-    kinds = ["prismatic" if unit == "mm" else "revolute" for unit in task.q.units]
-    read = read_as(kinds, output_units, None, None)
     model = onnx_model(network, _source(choice)).SerializeToString(deterministic=True)
     with TemporaryDirectory() as aside:  # nothing is left in the folder if nothing is proved
         path = Path(aside) / ONNX_FILE

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from iksamples.answer.collect import WORKSPACE
-from iksamples.columns import ERRORS, RUNS
+from iksamples.columns import ERRORS, RUNS, UNITS
 from iksamples.errors import IksamplesError
-from iksamples.samples.measured import UNITS, Place, read_columns, with_units
+from iksamples.samples.measured import Place, read_columns, with_units
 from iksamples.samples.table import read_table
 from iksamples.study import NETWORK, RECORDED
 

@@ -169,7 +169,7 @@ def in_order(fitted: Fitted, joints: Floats, start: Floats) -> "pd.DataFrame":
 
     chain = fitted.drawing
     # A rad counts as a tenth of a metre.
-    weight = np.where(np.array(chain.joint_units) == "mm", 0.01, 1.0)
+    weight = np.where(chain.revolute, 1.0, 0.01)
     joints = joints[tour(joints * weight, start * weight)]
     position = deviated_pose(chain, fitted.deviations, joints)[0]
     columns: dict[str, object] = {"pose": np.arange(1, len(joints) + 1)}

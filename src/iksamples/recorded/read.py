@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats, SerialChain, Unit, angles_of, roll_pitch_yaw
+from iksamples.columns import UNITS
 from iksamples.errors import IksamplesError
 from iksamples.samples.measured import (
     FEWEST,
     MOST,
     POSITION,
-    UNITS,
     Place,
     joint_places,
     name_and_unit,

@@ -107,12 +107,12 @@ class ReportData:
     @property
     def loss_unit(self) -> str:
         """Unit of the losses, for an axis; none where prismatic joints count by their scale."""
-        return "" if "mm" in self.sets[0].joint_space.units else " [rad²]"
+        return "" if self.sets[0].joint_space.lengths.any() else " [rad²]"
 
     def samples_mm(self, label: str) -> Floats:
         """Where the samples of a set are [mm], shape (n, coordinates of the position)."""
         samples = self.cells[label].samples
-        return samples.x[:, [unit == "mm" for unit in samples.space.units]]
+        return samples.x[:, samples.space.lengths]
 
     def table(self, name: str) -> pd.DataFrame:
         """One of the tables of ``cells``, one below the other, with n_samples; diverged left out.

@@ -145,7 +145,7 @@ class SampleSet:
         """
         extent = np.ptp(self.joints, axis=0)
         power = np.exp2(np.round(np.log2(np.maximum(extent, 1e-6) / 2)))
-        return np.where([unit == "mm" for unit in self.joint_space.units], power, 1.0)
+        return np.where(self.joint_space.lengths, power, 1.0)
 
     def normalise(self, x: ArrayLike) -> Floats:
         """Network inputs for inputs of the task, shape (..., d)."""

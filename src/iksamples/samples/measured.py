@@ -8,16 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from iksamples.arm.chain import Floats, SerialChain
+from iksamples.columns import UNITS
 from iksamples.errors import IksamplesError
 from iksamples.samples.table import Table
 
-
-UNITS = {
-    "mm": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
-    "rad": {"rad": 1.0, "deg": np.pi / 180, "degrees": np.pi / 180, "°": np.pi / 180},
-    "": {"": 1.0},
-}
-"""Unit here -> units that a name may say, and what a value in it is multiplied by."""
 
 POSITION = ("x", "y", "z")
 MOST = 1e12

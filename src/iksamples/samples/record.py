@@ -111,7 +111,7 @@ def sample_set(
         n_masked: Points left out.
     """
     spacing = fill = np.nan
-    lengths = np.array([unit == "mm" for unit in task.x.units])
+    lengths = task.x.lengths
     if grid:
         steps = designs.grid_spacing(task.x.lower, task.x.upper, grid)
         spacing = float(steps[lengths].max())

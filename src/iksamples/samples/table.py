@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import Floats
-from iksamples.errors import IksamplesError, in_a_line
+from iksamples.errors import IksamplesError, in_a_line, some_of
 from iksamples.files import read_bytes
 
 
@@ -45,10 +45,9 @@ class Table:
         """What a message calls a row, counted from 0 here and from 1 there."""
         return f"row {row + 1} (line {self.lines[row]})" if self.lines else f"row {row + 1}"
 
-    def listed(self, rows: NDArray[np.intp], most: int = 5) -> str:
+    def listed(self, rows: NDArray[np.intp]) -> str:
         """What a message calls some rows: the first of them, and how many more."""
-        some = ", ".join(self.place(int(row)) for row in rows[:most])
-        return some + (f" and {len(rows) - most} more" if len(rows) > most else "")
+        return some_of([self.place(int(row)) for row in rows], 5)
 
     def numbers(self, columns: Sequence[int], most: float = sys.float_info.max) -> Floats:
         """The cells of some columns as numbers, shape (rows, columns).

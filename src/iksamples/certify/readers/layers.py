@@ -169,7 +169,7 @@ def fed_as(
 
 
 def read_as(
-    joint_kinds: Sequence[str],
+    ours: Sequence[str],
     units: Sequence[str],
     offset: Floats | None,
     scale: Floats | None,
@@ -179,7 +179,7 @@ def read_as(
     The answer is multiplied by the scale, the offset is added, and the sum is in ``units``.
 
     Args:
-        joint_kinds: ``revolute`` or ``prismatic``, by joint.
+        ours: Unit of each joint: ``mm`` or ``rad``.
         units: At most one of ``rad``, ``deg`` (revolute joints; rad if none) and at most one of
             ``mm``, ``m`` (prismatic joints; mm if none).
         offset: One value per joint, or None.
@@ -188,12 +188,11 @@ def read_as(
     Raises:
         IksamplesError: A unit is unknown or of no joint, or something is of another number.
     """
-    ours = ["mm" if kind == "prismatic" else "rad" for kind in joint_kinds]
     things = {"mm": "prismatic joint", "rad": "revolute joint"}
     unit_of = _of_ours("--output-unit", units, ours, "the arm has no {}", things)
     if offset is None and scale is None and np.all(unit_of == 1):
         return None
-    n = len(joint_kinds)
+    n = len(ours)
     offset = np.zeros(n) if offset is None else offset
     scale = np.ones(n) if scale is None else scale
     _require_count("--output-offset", offset, n, "joint of the arm")
