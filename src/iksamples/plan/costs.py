@@ -43,17 +43,22 @@ _FLOPS = {"relu": 2.4e10, "tanh": 2.0e10}
 """Of the fused engine, per second."""
 _STACKED_STEP, _STACKED_FLOPS = 5e-4, 1e10
 """Of the reference engine: a step of the whole stack, and floating-point operations per second."""
-_ITERATION, _GRAM, _SOLVE = 5e-5, 1e10, 1.5e10
-"""Of Levenberg-Marquardt, per seed: an iteration, and operations per second of its two products."""
-_TUNED = {"gaussian-process": 60, "residual": 12}
-"""Kernels that are tried; of what a drawing leaves there is little to learn."""
-_SAMPLE = 4e-5
-"""Of recording one sample on one arm."""
+_ITERATION, _DERIVATIVE, _GRAM, _SOLVE = 2e-4, 1e-8, 1e11, 2.5e10
+"""Of Levenberg-Marquardt, per seed: an iteration, a derivative of one answer by one weight, and
+operations per second of its two products."""
+_TUNED, _TRIED = {"gaussian-process": 36, "residual": 25}, 2e-4
+"""Kernels that are tried, about, and each of them beside its matrix."""
+_CLOSED, _FOUND = 3e-6, 4e-5
+"""Of the joints at a point, in closed form and where they are followed from a home posture."""
+_ARM, _ON_ARM = 5e-3, 8e-6
+"""Of a simulated arm's samples of one set, and each of them."""
+_NEAREST, _NEAREST_BYTES = 0.8, 62e6
+"""Where samples are on no grid: SciPy, which finds the nearest of them."""
 _SOLVED = 3e9
 """Operations per second of dense matrices: kernels, designs."""
-_SET, _FOLLOWED, _MASKED = 0.1, 0.5, 4.0
-"""Where an arm is followed from its home posture: beside the samples of each set; before the first;
-and to find which part of the workspace it can use, if not all."""
+_SET, _MASKED = 0.1, 4.0
+"""Where an arm is followed: beside the samples of each set; to find the part of the workspace that
+it can use, if not all."""
 _LIGHTNING, _ROUND = 4.5, 0.15
 """Of the adaptive sets: to import what trains, and each round beside its training."""
 _GUIDING: dict[str, object] = {
@@ -120,12 +125,14 @@ def engine_of(study: Study, shape: Shape, method: Method) -> tuple[str, int]:
     return choose_engine(own, shape.joints), weights
 
 
-def fit_seconds(method: Method, engine: str, weights: int, n: int, seeds: int) -> float:
+def fit_seconds(
+    method: Method, engine: str, weights: int, joints: int, n: int, seeds: int
+) -> float:
     """Expected time of training some seeds of a method on n samples."""
     training, epochs = method.training, epochs_of(method, n)
     if engine == "levenberg-marquardt":
-        products = 3 * n * weights**2 / _GRAM + weights**3 / _SOLVE
-        return seeds * epochs * (_ITERATION + products)
+        derivatives = n * joints * weights * (_DERIVATIVE + weights / _GRAM)
+        return seeds * epochs * (_ITERATION + derivatives + weights**3 / _SOLVE)
     steps = epochs * training.steps_per_epoch(n)
     operations = 6.0 * min(training.batch_size, n) * weights * seeds * steps
     if engine == "reference":
@@ -161,7 +168,7 @@ def kernel_seconds(kind: str, n: int) -> float:
             return 0.0
         if kind == "rbf":
             return 0.1 * n**3 / _SOLVED
-        return _TUNED[kind] * (0.004 + min(n, 256) ** 3 / _SOLVED) + n**3 / _SOLVED
+        return _TUNED[kind] * (_TRIED + min(n, 256) ** 3 / _SOLVED) + 0.2 * n**3 / _SOLVED
     return 0.05 + 1e-4 * n if kind == "calibrated" else 0.01 + 1e-5 * n
 
 
@@ -175,36 +182,51 @@ def answer_seconds(kind: str, n: int, joints: int) -> float:
 def kernel_bytes(kind: str, n: int, arms: int, points: float = 8192) -> float:
     """Memory of such a method: the fit of every arm, and its work on points at once."""
     if KINDS[kind].dense and n <= MOST_SAMPLES:
-        return 8.0 * n**2 * (max(1, arms) + 2) + 8.0 * points * n * 5
+        at_once = 0.0 if kind == "rbf" else 8.0 * points * n * 5  # SciPy cuts its own up
+        return 8.0 * n**2 * (max(1, arms) + 2) + at_once
     return 500.0 * n
 
 
-def recording(study: Study, shape: Shape) -> Terms:
-    """Time to record all samples."""
-    found: dict[Settings, float] = {}
-    n_all = sum(n for sizes in shape.sizes.values() for n in sizes)
-    found[(shape.said,)] = _SAMPLE * n_all * (1 + 2 * shape.arms)
-    if shape.arms:
-        found[(shape.said, "training.seeds")] = found.pop((shape.said,))
-    robot, n_sets = study.robot, sum(map(len, shape.sizes.values()))
-    if robot.home_rad or robot.home_mm:
-        masked = _MASKED if study.samples.unreachable == "mask" else 0.0
-        found[("samples.unreachable", shape.said)] = _FOLLOWED + masked + _SET * n_sets
-    if "adaptive" in shape.sizes:
-        own, n = study.all_methods[NETWORK], max(shape.sizes["adaptive"])
-        guide = own.model_copy(update={"training": own.training.model_copy(update=_GUIDING)})
-        engine, weights = engine_of(study, shape, guide)
-        each = _ROUND + fit_seconds(guide, engine, weights, n, guide.training.seeds)
-        # From 8 samples on, or the corners, there are 1.4 times as many after each.
-        rounds = max(0.0, 2 * log2(n / max(8, 2**shape.inputs)))
-        found[("samples.designs", "network.hidden")] = _LIGHTNING + ceil(rounds) * each
+def placing(study: Study, shape: Shape) -> Terms:
+    """Time to record all samples but those chosen in training, and to look at the paths."""
+    sets = [n for design, sizes in shape.sizes.items() if design != "adaptive" for n in sizes]
+    followed = bool(study.robot.home_rad or study.robot.home_mm)
+    each = _FOUND if followed else _CLOSED
+    found: dict[Settings, float] = {
+        (shape.said,): each * sum(sets) + _SET * followed * len(sets),
+        (shape.said, "training.seeds"): shape.arms * (_ARM * len(sets) + _ON_ARM * sum(sets)),
+        ("evaluation.paths",): each * shape.waypoints,
+    }
     for n in shape.sizes.get("optimal", []):
         width = 6.0 * (shape.joints + 1)
         key = ("samples.designs", shape.said)
         candidates = max(400, 2 * n)
-        taken = 2 * n * (candidates * 6 * width**2 + n * width**2) / _SOLVED
+        taken = n * (candidates * 6 * width**2 + n * width**2) / _SOLVED
         found[key] = found.get(key, 0.0) + taken
     return found
+
+
+def recording(study: Study, shape: Shape) -> Terms:
+    """Time to record all samples."""
+    found = {**placing(study, shape)}
+    if study.samples.unreachable == "mask":
+        found[("samples.unreachable",)] = _MASKED
+    if _on_no_grid(study, shape):
+        found[("samples.designs",)] = _NEAREST
+    if "adaptive" in shape.sizes:
+        own, n = study.all_methods[NETWORK], max(shape.sizes["adaptive"])
+        guide = own.model_copy(update={"training": own.training.model_copy(update=_GUIDING)})
+        engine, weights = engine_of(study, shape, guide)
+        each = _ROUND + fit_seconds(guide, engine, weights, shape.joints, n, guide.training.seeds)
+        # From 8 samples on, or the corners, there are 1.4 times as many after each.
+        rounds = max(0.0, 2 * log2(n / max(8, 2**shape.inputs)))
+        found[("samples.designs", "network.hidden")] = _LIGHTNING + ceil(rounds) * each
+    return found
+
+
+def _on_no_grid(study: Study, shape: Shape) -> bool:
+    """Whether distances to the nearest sample are asked for that no formula has."""
+    return not study.workspace.lower_rad and bool(shape.sizes.keys() - {"grid", "adaptive"})
 
 
 def recording_bytes(study: Study, shape: Shape, n: int) -> Terms:
@@ -214,9 +236,10 @@ def recording_bytes(study: Study, shape: Shape, n: int) -> Terms:
     solved = 1500.0 * n * (4 if {"uniform", "joints"} & shape.sizes.keys() else 1)
     arms = 16.0 * n * shape.joints * shape.arms
     trained = 465e6 if "adaptive" in shape.sizes else 0.0
+    nearest = _NEAREST_BYTES if _on_no_grid(study, shape) else 0.0
     masked = 140e6 if study.samples.unreachable == "mask" else 0.0
     return {
-        ("samples.designs",): trained,
+        ("samples.designs",): max(trained, nearest),
         ("samples.unreachable",): masked,
         (shape.said,): solved,
         (shape.said, "samples.designs"): optimal,

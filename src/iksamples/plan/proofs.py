@@ -14,14 +14,15 @@ from iksamples.study import MAX_EPOCHS, MOST_INPUTS_OF_A_MEAN, Method, Study
 _PROVED = 0.01
 """What the proofs of a network take at least [s]."""
 _SEARCH = {"adam": 0.012, "levenberg-marquardt": 0.08}
-"""Worst distance of a network of 115 weights on an arm of three joints and inputs [s]."""
-_MEAN = {"adam": 0.012, "levenberg-marquardt": 0.1}
+"""Worst distance of a network of 16 neurons on an arm of three joints and inputs [s]."""
+_MEAN = {"adam": 0.025, "levenberg-marquardt": 0.08}
 """And its mean, within a share of 0.025 [s]; of half that share about twice as much."""
 _STEPS, _LONGER = 4000, 0.3
 """Of Adam; a network that is trained for longer is less smooth, with this power of the steps."""
-_WIDER_SEARCH, _WIDER_MEAN = 0.9, 2.0
-"""Powers of the weights."""
-_TURNED = 2.5
+_WIDER_SEARCH, _WIDER_MEAN, _SMOOTH = 1.6, 1.3, 0.5
+"""Powers of the hidden neurons: where each bends the network, and of tanh that Adam trains, which
+stays smooth."""
+_TURNED = 2.0
 """Times as much where the worst angle is proved as well."""
 _PLANE_SEARCH, _PLANE_MEAN = 0.15, 0.03
 """Times as much with two inputs."""
@@ -29,8 +30,13 @@ _KINKED_MEAN = 20.0
 """Times as much a mean with four inputs, where the kinks of ReLUs have to be found."""
 _TABLE, _CELL = 0.05, 7e-4
 """A look-up table, and each of its cells [s]."""
-_OF_AN_EPOCH, _LESS_TIGHT = 1e-3, 0.12
-"""Worst case at an epoch of a training: at least [s], and as a share of that at its end."""
+_OF_AN_EPOCH, _WIDER_EPOCH, _BY_INPUT = 1e-3, 0.8, 2.5
+"""Worst case at an epoch of a training [s], that of 16 neurons and three inputs: the power of the
+neurons, and times as much with each input more."""
+_CONVERGED = 0.12
+"""What it takes besides, once a training has converged, as a share of that at its end."""
+_SAFE = 0.5
+"""The share of the workspace that keeps the tolerance, beside a mean."""
 
 
 def network_seconds(study: Study, shape: Shape, method: Method) -> float:
@@ -39,13 +45,7 @@ def network_seconds(study: Study, shape: Shape, method: Method) -> float:
     seconds = _PROVED + times * _search(study, shape, method)
     if shape.inputs > MOST_INPUTS_OF_A_MEAN:
         return seconds
-    mean = _MEAN[method.training.optimizer] * _roughness(study, shape, method)
-    mean *= _weights(shape, method) ** _WIDER_MEAN * shape.joints / 3
-    if shape.inputs == 2:
-        mean *= _PLANE_MEAN
-    if shape.inputs == 4 and method.network.activation == "relu":
-        mean *= _KINKED_MEAN
-    return seconds + mean * 0.025 / study.bounds.mean_rtol
+    return seconds + _mean(study, shape, method) * 0.025 / study.bounds.mean_rtol
 
 
 def tables_seconds(study: Study, sizes: Iterable[int]) -> float:
@@ -55,29 +55,44 @@ def tables_seconds(study: Study, sizes: Iterable[int]) -> float:
 
 
 def pictures_seconds(study: Study, shape: Shape, method: Method, n_sets: int) -> float:
-    """Expected time of what is proved of a method along its training, for pictures [s]."""
-    epochs = min(MAX_EPOCHS, method.training.snapshots)
-    each = _OF_AN_EPOCH + _LESS_TIGHT * _search(study, shape, method)
-    return n_sets * len(study.evaluation.paths) * epochs * each
+    """Expected time of what is proved of the networks that pictures show [s]."""
+    each = _OF_AN_EPOCH * _neurons(method) ** _WIDER_EPOCH * _BY_INPUT ** (shape.inputs - 3)
+    if method.training.optimizer != "adam":
+        each = _OF_AN_EPOCH + _CONVERGED * _search(study, shape, method)
+    seconds = min(MAX_EPOCHS, method.training.snapshots) * each
+    if shape.inputs <= 3:
+        seconds += _SAFE * _mean(study, shape, method)
+    return n_sets * len(study.evaluation.paths) * seconds
 
 
 def _search(study: Study, shape: Shape, method: Method) -> float:
     """Of one network's worst distance [s]."""
-    seconds = _SEARCH[method.training.optimizer] * _roughness(study, shape, method)
-    seconds *= _weights(shape, method) ** _WIDER_SEARCH * shape.joints / 3
-    return seconds * (_PLANE_SEARCH if shape.inputs == 2 else 1)
+    seconds = _SEARCH[method.training.optimizer] * _roughness(study, shape, method, _WIDER_SEARCH)
+    return seconds * shape.joints / 3 * (_PLANE_SEARCH if shape.inputs == 2 else 1)
 
 
-def _weights(shape: Shape, method: Method) -> float:
-    """Weights of a network as if it had as many joints as inputs, in multiples of 115."""
-    return method.network.n_parameters(shape.inputs, shape.inputs) / 115
+def _mean(study: Study, shape: Shape, method: Method) -> float:
+    """Of one network's mean, within a share of 0.025 [s]."""
+    seconds = _MEAN[method.training.optimizer] * _roughness(study, shape, method, _WIDER_MEAN)
+    if shape.inputs == 2:
+        seconds *= _PLANE_MEAN
+    if shape.inputs == 4 and method.network.activation == "relu":
+        seconds *= _KINKED_MEAN
+    return seconds * shape.joints / 3
 
 
-def _roughness(study: Study, shape: Shape, method: Method) -> float:
-    """Times as much as of a network that was trained for some steps of Adam."""
+def _neurons(method: Method) -> float:
+    """Hidden neurons of a network, in multiples of 16."""
+    return sum(method.network.hidden) / 16
+
+
+def _roughness(study: Study, shape: Shape, method: Method, wider: float) -> float:
+    """Times as much as of a network of 16 neurons that was trained for some steps of Adam."""
     training = method.training
+    smooth = training.optimizer == "adam" and method.network.activation == "tanh"
+    times = _neurons(method) ** (_SMOOTH if smooth else wider)
     sizes = [training.n_trained(n) for n in costs.sets_of(study, shape, method)]
     if training.optimizer != "adam" or not sizes:
-        return 1.0
+        return times
     steps = sum(costs.epochs_of(method, n) * training.steps_per_epoch(n) for n in sizes)
-    return float((steps / len(sizes) / _STEPS) ** _LONGER)
+    return float(times * (steps / len(sizes) / _STEPS) ** _LONGER)

@@ -66,6 +66,9 @@ _BASE_MB |= {
     "answer": 170.0,
     "track": 290.0,
     "rank": 130.0,
+    "table": 185.0,
+    "size": 165.0,
+    "page": 175.0,
 }
 _OTHER_MB = 230.0
 _ROWS, _ROW = 2**20, 170
@@ -121,7 +124,9 @@ def _fit(study: Study, shape: Shape, name: str, method: Method, cached: int) -> 
     seconds, steps = 0.0, 0
     for n in map(training.n_trained, sizes):
         steps += training.seeds * costs.epochs_of(method, n) * training.steps_per_epoch(n)
-        seconds += costs.FIT + costs.fit_seconds(method, engine, weights, n, training.seeds)
+        seconds += costs.FIT + costs.fit_seconds(
+            method, engine, weights, shape.joints, n, training.seeds
+        )
     n_networks = training.seeds * len(sizes)
     share = 1 - cached / n_networks if n_networks else 0.0
     return MethodPlan(name, n_networks, n_networks - cached, round(steps * share), seconds * share)
@@ -244,7 +249,7 @@ def _computed(study: Study, shape: Shape, fits: list[MethodPlan]) -> Iterator[St
     )
     way = 300.0 * study.training.seeds * shape.waypoints
     paths: Settings = ("evaluation.paths", "training.seeds")
-    yield _step("record", [{paths: 0.5 * len(study.evaluation.paths)}], {paths: way, **kept})
+    yield _step("record", [{paths: 0.25 * len(study.evaluation.paths)}], {paths: way, **kept})
     yield _step("report", [{by: 1.0 + 1e-5 * runs}], {by: 600.0 * runs, paths: way, **kept})
 
 
@@ -292,7 +297,9 @@ def _recorded(study: Study) -> Iterator[StepPlan]:
             if KINDS[one.kind].fit:
                 taken += orders * costs.kernel_seconds(one.kind, n)
             else:
-                taken += costs.FIT + costs.fit_seconds(one, engine, weights, n, orders)
+                taken += costs.FIT + costs.fit_seconds(
+                    one, engine, weights, shape.joints, n, orders
+                )
         work[key] = work.get(key, 0.0) + taken
         if KINDS[one.kind].fit:
             sizes.append({key[:2]: costs.kernel_bytes(one.kind, study.sizes[-1], 1, held)})
