@@ -12,6 +12,8 @@ import pytest
 from measured_arms import recorded
 from typer.testing import CliRunner
 
+from iksamples import task
+from iksamples.arm.inverse import solve
 from iksamples.cli import app
 from iksamples.errors import IksamplesError
 from iksamples.plan import plan_study, require_affordable, resources, steps
@@ -219,6 +221,39 @@ def test_commands_refuse_before_they_make_anything(command, tmp_path, monkeypatc
     assert isinstance(said.exception, IksamplesError)
     assert "budget.memory_gb" in str(said.exception)
     assert not (tmp_path / "made").exists()
+
+
+LONG = {
+    "samples.designs": {"samples": {"designs": ["optimal"], "sizes": [100_000]}},
+    "training.seeds": {"arm": {"deviation_mm": 1.0}, "training": {"seeds": 3000}},
+    "evaluation.paths": {
+        "evaluation": {
+            "paths": {f"p{i}": {"shape": "heart", "waypoints": 100_000} for i in range(1000)}
+        }
+    },
+    "evaluation.cube_points": {"evaluation": {"cube_points": 1_000_000}},
+}
+
+
+@pytest.mark.parametrize("command", ["check", "plan"])
+@pytest.mark.parametrize("setting", LONG)
+def test_a_study_is_checked_and_planned_without_its_work(setting, command, tmp_path, monkeypatch):
+    """The arm is asked for few points, whatever the budget allows."""
+    asked = []
+
+    def counted(chain, target, points, **how):
+        asked.append(len(points))
+        assert sum(asked) < 30_000
+        return solve(chain, target, points, **how)
+
+    monkeypatch.setattr(task, "solve", counted)
+    large = {"memory_gb": 100_000, "processor_hours": 10_000_000}
+    study = tmp_path / "long.json"
+    study.write_text(json.dumps({"name": "long", "budget": large, **LONG[setting]}))
+    said = CliRunner().invoke(app, [command, str(study)])
+    assert said.exit_code == 0, said.exception
+    told = [line for line in said.output.splitlines() if "left to the run" in line]
+    assert len(told) == (setting != "evaluation.cube_points")
 
 
 def test_sizing_a_recording_is_refused_where_its_orders_would_take_too_much(tmp_path):

@@ -20,19 +20,20 @@ _MOST_TURNS = 10
 """Turns between a joint's limits beyond which they are hardly meant in radians."""
 
 
-def advice(study: Study, task: Task, sets: Sequence[SampleSet]) -> list[str]:
+def advice(study: Study, task: Task, sets: Sequence[SampleSet] | None) -> list[str]:
     """One line for each thing that will not come out as its author may expect.
 
     Args:
         study: The study.
         task: Its task.
-        sets: Its samples, but for those chosen in training.
+        sets: Its samples, but for those chosen in training; None: neither they nor the paths are
+            to be looked at.
     """
     return [
         *_limits_in_degrees(task),
-        *_paths_outside(study, task),
+        *(() if sets is None else _paths_outside(study, task)),
         *_too_few_seeds(study),
-        *_methods_without_samples(study, sets),
+        *_methods_without_samples(study, sets or ()),
     ]
 
 

@@ -1,7 +1,7 @@
 """Commands for people: what a study will do and has found, the next poses, and a network of it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,13 +18,19 @@ from iksamples.cli.common import (
 from iksamples.files import whole_file
 
 
+if TYPE_CHECKING:
+    from iksamples.samples.dataset import SampleSet
+    from iksamples.study import Study
+    from iksamples.task import Task
+
+
 @app.command()
 def check(study_file: StudyFile) -> None:
     """Validate a study file, and say what the arm can reach of its workspace."""
     from iksamples.plan.text import readings_text
     from iksamples.region import Region
     from iksamples.results import networks, sample_sets
-    from iksamples.samples.record import record_samples, region_points
+    from iksamples.samples.record import region_points
     from iksamples.study import NETWORK
     from iksamples.task import study_task
     from iksamples.text import domain, percent_down
@@ -42,19 +48,19 @@ def check(study_file: StudyFile) -> None:
     if study.readings:
         say(f"{valid}\n{readings_text(study)}")
         return
-    require_feasible(study, task)
-    sets, all_recorded, lines = sample_sets(study), [], [valid]
-    for label, (design, n) in sets.items():
+    sets, lines = _placed(study, task), [valid]
+    found = {one.label: one for one in sets or ()}
+    for label, (design, n) in sample_sets(study).items():
         if design == "adaptive":
             lines.append(f"  {label}: {n} samples, chosen in training")
-            continue
-        recorded = record_samples(study, task, design, n)
-        all_recorded.append(recorded)
-        masked = f", {recorded.n_masked} left out" if recorded.n_masked else ""
-        lines.append(f"  {label}: {recorded.n_samples} samples{masked}")
+        elif one := found.get(label):
+            masked = f", {one.n_masked} left out" if one.n_masked else ""
+            lines.append(f"  {label}: {one.n_samples} samples{masked}")
+        else:
+            lines.append(f"  {label}: not recorded here")
     say("\n".join(lines))
-    box = region_points(Region.box(task.x.lower, task.x.upper), study.evaluation.cube_points)
-    reach = task.reach(box)
+    box = Region.box(task.x.lower, task.x.upper)
+    reach = task.reach(region_points(box, min(study.evaluation.cube_points, _MOST_POINTS)))
     say(f"  workspace: {_in_words(reach.summary())}. {reach.where_to_go()}")
     if task.region_share < 1:
         share = percent_down(task.region_share)
@@ -63,7 +69,7 @@ def check(study_file: StudyFile) -> None:
     seeds = sum(study.all_methods[name].training.seeds for name in networks(study))
     trained = len(sample_sets(study, method=NETWORK)) * seeds
     say(f"  {trained} networks to train")
-    advise(study, task, all_recorded)
+    advise(study, task, sets)
 
 
 @app.command()
@@ -78,24 +84,45 @@ def plan(
     """Say what a study would take: networks to train, time, memory. Nothing is run."""
     from iksamples.plan.steps import plan_study
     from iksamples.plan.text import plan_text, readings_text
-    from iksamples.results import sample_sets
-    from iksamples.samples.record import record_samples
     from iksamples.training.run import trained_before
 
     study, task = open_study(study_file)
     if study.readings:
         say(f"{study.name}\n{readings_text(study, cores)}")
         return
-    require_feasible(study, task)
-    sets = [
-        record_samples(study, task, design, n)
-        for design, n in sample_sets(study).values()
-        if design != "adaptive"
-    ]
+    sets = _placed(study, task)
     cache = (results or Path("results") / study.name) / "cache"
-    cached = trained_before(study, sets, cache) if cache.is_dir() else {}
+    cached = trained_before(study, sets, cache) if sets and cache.is_dir() else {}
     say(plan_text(study, plan_study(study, cached), cores))
     advise(study, task, sets)
+
+
+_MOST_S, _MOST_POINTS = 8.0, 2**14
+"""Time to look at samples and paths, and points of the workspace, in `check` and `plan`."""
+
+
+def _placed(study: "Study", task: "Task") -> "list[SampleSet] | None":
+    """The study's samples but those chosen in training; None where they take long, which is said.
+
+    Raises:
+        IksamplesError: Samples or paths are none that the arm can do.
+    """
+    from iksamples.plan import costs
+    from iksamples.plan.text import in_words
+    from iksamples.results import sample_sets
+    from iksamples.samples.record import record_samples
+
+    seconds = costs.total(costs.placing(study, costs.shape_of(study)))
+    require_feasible(study, task, paths=seconds <= _MOST_S)
+    if seconds > _MOST_S:
+        say(
+            "Note: whether the arm gets to all samples and paths is left to the run, which takes "
+            f"about {in_words(seconds)} for it; what is trained already is not looked for.",
+            err=True,
+        )
+        return None
+    sets = sample_sets(study).values()
+    return [record_samples(study, task, *one) for one in sets if one[0] != "adaptive"]
 
 
 @app.command()

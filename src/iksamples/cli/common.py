@@ -194,7 +194,7 @@ def open_study(study_file: Path) -> "tuple[Study, Task]":
     return study, study_task(study)
 
 
-def advise(study: "Study", task: "Task", sets: "list[SampleSet]") -> None:
+def advise(study: "Study", task: "Task", sets: "list[SampleSet] | None") -> None:
     """Says what may surprise the author of a study."""
     from iksamples.advice import advice
 
@@ -218,7 +218,7 @@ def seed_range(text: str | None) -> range | None:
     return range(int(first), int(last) + 1)
 
 
-def require_feasible(study: "Study", task: "Task") -> None:
+def require_feasible(study: "Study", task: "Task", paths: bool = True) -> None:
     """What a job for one set of samples cannot see of the rest, before anything is trained."""
     from iksamples.evaluation.paths import require_reachable
     from iksamples.samples.record import require_workspace
@@ -229,4 +229,5 @@ def require_feasible(study: "Study", task: "Task") -> None:
             "or iksamples learn, answer and report."
         )
     require_workspace(study, task)
-    require_reachable(study, task)
+    if paths:
+        require_reachable(study, task)

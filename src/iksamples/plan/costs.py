@@ -48,17 +48,17 @@ _ITERATION, _DERIVATIVE, _GRAM, _SOLVE = 2e-4, 1e-8, 1e11, 2.5e10
 operations per second of its two products."""
 _TUNED, _TRIED = {"gaussian-process": 36, "residual": 25}, 2e-4
 """Kernels that are tried, about, and each of them beside its matrix."""
-_CLOSED, _FOUND = 3e-6, 4e-5
-"""Of the joints at a point, in closed form and where they are followed from a home posture."""
+_CLOSED, _FOLLOWED = (0.01, 3e-6), (0.1, 4e-5)
+"""Of a set of samples, and of the joints at a point: in closed form, and where they are followed
+from a home posture."""
 _ARM, _ON_ARM = 5e-3, 8e-6
 """Of a simulated arm's samples of one set, and each of them."""
 _NEAREST, _NEAREST_BYTES = 0.8, 62e6
 """Where samples are on no grid: SciPy, which finds the nearest of them."""
 _SOLVED = 3e9
 """Operations per second of dense matrices: kernels, designs."""
-_SET, _MASKED = 0.1, 4.0
-"""Where an arm is followed: beside the samples of each set; to find the part of the workspace that
-it can use, if not all."""
+_MASKED = 4.0
+"""To find the part of the workspace that an arm can use, if not all."""
 _LIGHTNING, _ROUND = 4.5, 0.15
 """Of the adaptive sets: to import what trains, and each round beside its training."""
 _GUIDING: dict[str, object] = {
@@ -190,10 +190,9 @@ def kernel_bytes(kind: str, n: int, arms: int, points: float = 8192) -> float:
 def placing(study: Study, shape: Shape) -> Terms:
     """Time to record all samples but those chosen in training, and to look at the paths."""
     sets = [n for design, sizes in shape.sizes.items() if design != "adaptive" for n in sizes]
-    followed = bool(study.robot.home_rad or study.robot.home_mm)
-    each = _FOUND if followed else _CLOSED
+    of_set, each = _FOLLOWED if study.robot.home_rad or study.robot.home_mm else _CLOSED
     found: dict[Settings, float] = {
-        (shape.said,): each * sum(sets) + _SET * followed * len(sets),
+        (shape.said,): of_set * len(sets) + each * sum(sets),
         (shape.said, "training.seeds"): shape.arms * (_ARM * len(sets) + _ON_ARM * sum(sets)),
         ("evaluation.paths",): each * shape.waypoints,
     }
