@@ -131,10 +131,10 @@ def test_every_rule_is_planned():
     ("more", "step", "times"),
     [
         ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "evaluate", 1.5),
-        ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "prove", 1.3),
+        ({"task": {"orientation": "axis", "reference_rpy_rad": [0, 0, 0]}}, "prove", 1.2),
         ({"bounds": {"mean_rtol": 0.005}}, "prove", 2),
         ({"arm": {"payload_kg": 1, "stiffness_nm_per_rad": 5000}}, "evaluate", 5),
-        ({"training": {"snapshots": 25}}, "map", 0.7),
+        ({"training": {"snapshots": 25}}, "map", 0.8),
     ],
 )
 def test_what_a_step_takes_hangs_on_what_it_does(more, step, times):

@@ -30,7 +30,7 @@ _KINKED_MEAN = 20.0
 """Times as much a mean with four inputs, where the kinks of ReLUs have to be found."""
 _TABLE, _CELL = 0.05, 7e-4
 """A look-up table, and each of its cells [s]."""
-_OF_AN_EPOCH, _WIDER_EPOCH, _BY_INPUT = 1e-3, 0.8, 2.5
+_OF_AN_EPOCH, _WIDER_EPOCH, _BY_INPUT = 1.5e-3, 0.8, 2.5
 """Worst case at an epoch of a training [s], that of 16 neurons and three inputs: the power of the
 neurons, and times as much with each input more."""
 _CONVERGED = 0.12
@@ -56,9 +56,11 @@ def tables_seconds(study: Study, sizes: Iterable[int]) -> float:
 
 def pictures_seconds(study: Study, shape: Shape, method: Method, n_sets: int) -> float:
     """Expected time of what is proved of the networks that pictures show [s]."""
-    each = _OF_AN_EPOCH * _neurons(method) ** _WIDER_EPOCH * _BY_INPUT ** (shape.inputs - 3)
-    if method.training.optimizer != "adam":
-        each = _OF_AN_EPOCH + _CONVERGED * _search(study, shape, method)
+    each = _OF_AN_EPOCH
+    if method.training.optimizer == "adam":
+        each *= _roughness(study, shape, method, _WIDER_EPOCH) * _BY_INPUT ** (shape.inputs - 3)
+    else:
+        each += _CONVERGED * _search(study, shape, method)
     seconds = min(MAX_EPOCHS, method.training.snapshots) * each
     if shape.inputs <= 3:
         seconds += _SAFE * _mean(study, shape, method)
@@ -81,18 +83,13 @@ def _mean(study: Study, shape: Shape, method: Method) -> float:
     return seconds * shape.joints / 3
 
 
-def _neurons(method: Method) -> float:
-    """Hidden neurons of a network, in multiples of 16."""
-    return sum(method.network.hidden) / 16
-
-
 def _roughness(study: Study, shape: Shape, method: Method, wider: float) -> float:
     """Times as much as of a network of 16 neurons that was trained for some steps of Adam."""
     training = method.training
     smooth = training.optimizer == "adam" and method.network.activation == "tanh"
-    times = _neurons(method) ** (_SMOOTH if smooth else wider)
+    times = float((sum(method.network.hidden) / 16) ** (_SMOOTH if smooth else wider))
     sizes = [training.n_trained(n) for n in costs.sets_of(study, shape, method)]
     if training.optimizer != "adam" or not sizes:
         return times
     steps = sum(costs.epochs_of(method, n) * training.steps_per_epoch(n) for n in sizes)
-    return float(times * (steps / len(sizes) / _STEPS) ** _LONGER)
+    return times * float((steps / len(sizes) / _STEPS) ** _LONGER)

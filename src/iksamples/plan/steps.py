@@ -21,7 +21,7 @@ START = {
     "floor": 0.8,
     "bounds": 1.0,
     "prove": 0.8,
-    "map": 1.0,
+    "map": 0.85,
     "collect": 0.8,
     "table": 0.9,
     "answer": 1.2,
