@@ -267,6 +267,19 @@ def test_sizing_a_recording_is_refused_where_its_orders_would_take_too_much(tmp_
     assert "--subsets" in remedy
 
 
+def test_a_recording_of_more_than_a_fit_can_hold_is_refused_before_it_is_read(tmp_path):
+    records = tmp_path / "records.parquet"
+    columns = ("x_mm", "y_mm", "z_mm", "q1_rad", "q2_rad", "q3_rad")
+    pd.DataFrame(dict.fromkeys(columns, [0.5] * 100_001)).to_parquet(records)
+    arm = ["--robot", "config/robots/rrr70.urdf"]
+    for command in (["size", str(records), *arm], ["fit-arm", "--samples", str(records), *arm]):
+        said = CliRunner().invoke(
+            app, [*command, *(["-o", str(tmp_path / "a.urdf")] if "fit-arm" in command else [])]
+        )
+        assert isinstance(said.exception, IksamplesError)
+        assert "100000 rows" in str(said.exception)
+
+
 def test_no_more_poses_are_proposed_than_there_are_places_for(tmp_path):
     """Before any network is trained."""
     asked = ["--samples", str(tmp_path / "none.csv"), "-o", str(tmp_path / "next.csv")]

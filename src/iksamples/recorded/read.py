@@ -25,6 +25,7 @@ from iksamples.samples.table import Table, read_table
 
 
 ANGLES = ("roll", "pitch", "yaw")
+_MOST_RECORDS = 100_000  # as of samples; a fit holds some 12 kB of each, of seven joints
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _JOINT = re.compile(r"(?:q|joint|j)_?\d+|q_\w+|joint_\w+")
 _UNIT_LENGTH = 0.01
@@ -130,7 +131,7 @@ def read_recording(
         IksamplesError: The file cannot be read, lacks a column or a unit, holds something that is
             no number, or no records of this arm.
     """
-    table = _renamed(read_table(path), columns or {})
+    table = _renamed(read_table(path, _MOST_RECORDS), columns or {})
     names = {name_and_unit(name)[0] for name in table.names}
     turned = next((some for some in (ANGLES, _QUATERNION) if names >= set(some)), ())
     found = inputs or [*("xyz" if "z" in names else "xy"), *(ANGLES if turned == ANGLES else ())]
