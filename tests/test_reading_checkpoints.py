@@ -374,3 +374,10 @@ print("heavy:", set({heavy.split()}) & set(sys.modules))"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "(checked" in done.stdout
     assert "heavy: set()" in done.stdout
+
+
+def test_a_network_whose_proof_would_take_all_memory_is_refused(tmp_path):
+    layers = torch.nn.ModuleList(torch.nn.Linear(*size) for size in pairwise([3, 900, 900, 3]))
+    torch.save(layers.state_dict(), tmp_path / "large.pt")
+    with pytest.raises(IksamplesError, match=r"815400 weights, .*memory"):
+        load_network(tmp_path / "large.pt", (3, 3), activation="tanh")

@@ -38,6 +38,9 @@ _OTHER_KINDS = {
 }
 _KINDS = "give .onnx, or a state dict as .safetensors, .pt, .pth or .ckpt"
 
+_MOST_WEIGHTS = 750_000
+"""As many as take 8 GB: 67 000 took 0.7 GB and 265 000 took 2.9 GB, in two hidden layers."""
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:
@@ -105,9 +108,19 @@ def load_network(
         network = network if fed is None else network.fed(fed)
         network = network if read is None else network.answering(read)
         stack, exact = network.stacked()
+        _require_room(stack)
     except IksamplesError as error:
         raise IksamplesError(f"{path}: {error}.") from None
     return Reading(stack, exact, network.folded, network.in_words())
+
+
+def _require_room(network: StackedMLP) -> None:
+    n_weights = sum(layer[0].size for layer in network.weights)
+    if n_weights > _MOST_WEIGHTS:
+        raise IksamplesError(
+            f"has {n_weights} weights, each of which takes a proof some 10 kB of memory; no more "
+            f"than {_MOST_WEIGHTS} are proved. Train a smaller network to answer as it does"
+        )
 
 
 def _require_counts(n_inputs: int, n_outputs: int, needed: tuple[int, int]) -> None:
