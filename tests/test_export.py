@@ -67,13 +67,13 @@ def finished(folder, rng, **settings):
                 row = dict.fromkeys(RUNS, np.nan) | {
                     "method": method, "design": "grid", "label": cell.label, "n_samples": m**3,
                     "n_trained": m**3, "seed": seed, "failed": "", "unproved": "",
-                    "region": "workspace",
                     "error_mean_mm": error / 2, "error_p95_mm": error, "error_p99_mm": error,
                     "error_max_mm": error, "verified": False, "region_share": 1.0, "n_points": 8200,
                 }  # fmt: skip
-                rows.append(row)
+                regions = ("workspace", *study.evaluation.paths)
+                rows += [row | {"region": region} for region in regions]
     pd.DataFrame(rows).to_parquet(folder / RUNS_FILE)
-    found = answer(study, outcomes(study, read_runs(folder)))
+    found = answer(study, outcomes(study, read_runs(study, folder)))
     (folder / "study.json").write_text(study.model_dump_json())
     (folder / "answer.json").write_text(found.to_json())
     return folder

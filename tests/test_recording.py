@@ -6,6 +6,8 @@ import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -295,7 +297,7 @@ def test_long_paths_and_trainings_are_thinned(
         results[1].folder / "waypoints.parquet"
     )
     file = tmp_path / "long.rrd"
-    record_path(long, "heart", results[1:], file)
+    record_path(long, "heart", list(cells(long, results[1].results))[1:], file)
     tool = read(file, "/tool/grid3", "Points3D:positions", "waypoint")
     assert list(tool) == list(range(0, 2001, 4))
     [[strip]] = read(file, "/path/reached/grid3", "LineStrips3D:strips", "waypoint").values()
@@ -308,8 +310,11 @@ def test_long_paths_and_trainings_are_thinned(
         "offset": np.zeros(1),
         "scale": np.ones(1),
     }
-    write_tensors(tmp_path / "s", snapshots, {"activation": "relu", "seeds": [9]})
-    epochs, networks = networks_over_epochs(tmp_path / "s", 9)
+    file = tmp_path / "snapshots.safetensors"
+    write_tensors(file, snapshots, {"activation": "relu", "seeds": [9]})
+    last: Any = SimpleNamespace(weights=[snapshots["layers.0.weight"][-1]])
+    cell: Any = SimpleNamespace(folder=tmp_path, network=last)
+    epochs, networks = networks_over_epochs(cell, 9)
     assert len(epochs) == MAX_EPOCHS
     assert (epochs[0], epochs[-1]) == (1, 200)
     np.testing.assert_array_equal(networks.weights[0].ravel(), epochs - 1)
@@ -334,10 +339,15 @@ def test_a_diverged_grid_is_left_out_and_named(
     assert read(none, "/path/target", "LineStrips3D:strips", None)
 
 
-def test_an_unknown_path_leaves_no_file(small: Study, results: list[Cell], tmp_path: Path) -> None:
+def test_a_path_that_was_not_evaluated_leaves_no_file(
+    small: Study, results: list[Cell], tmp_path: Path
+) -> None:
     (tmp_path / "out").mkdir()
-    with pytest.raises(IksamplesError, match="path 'star' was not evaluated"):
-        record_path(small, "star", results, tmp_path / "out" / "star.rrd")
+    more = small.model_dump(mode="json")
+    more["evaluation"]["paths"]["star"] = {"shape": "heart", "waypoints": 30}
+    study = parse_study(more)
+    with pytest.raises(IksamplesError, match="the file lacks path star"):
+        record_path(study, "star", cells(study, results[0].results), tmp_path / "out" / "star.rrd")
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -372,9 +382,9 @@ def proved(small: Study, results: list[Cell], chain: SerialChain) -> Cell:
     cell = results[-1]
     waypoints = cell.table("waypoints")
     errors = waypoints.groupby(["path", "seed"], as_index=False)["error_mm"].mean()
-    errors.rename(columns={"path": "region", "error_mm": "error_mean_mm"}).to_parquet(
-        cell.folder / "errors.parquet"
-    )
+    errors = errors.rename(columns={"path": "region", "error_mm": "error_mean_mm"})
+    everywhere = errors[errors["region"] == "heart"].assign(region="cube")
+    pd.concat([errors, everywhere]).to_parquet(cell.folder / "errors.parquet")
     members = pd.DataFrame({"seed": SEEDS, "diverged": False})
     with kept_file(cell.folder / "members.parquet") as file:
         members.to_parquet(file)

@@ -147,8 +147,10 @@ def test_the_answers_table_is_the_answer(project: Path, page: html.HtmlElement) 
     assert {one.status for one in answer.variants} >= {"answered"}
 
 
-def test_errors_are_those_of_the_runs(project: Path, page: html.HtmlElement) -> None:
-    runs = read_runs(project / "results/small")
+def test_errors_are_those_of_the_runs(
+    data: ReportData, project: Path, page: html.HtmlElement
+) -> None:
+    runs = read_runs(data.study, project / "results/small")
     everywhere = runs[runs["region"] == "workspace"]
     shown = table_with(page, "Method", "8", "27", "125").set_index("Method")
     medians = everywhere.groupby(["method", "n_samples"])["error_mean_mm"].median()
@@ -525,10 +527,10 @@ def test_the_view_shows_the_chosen_set_path_and_network(opened: Any, project: Pa
     assert canvas.get_attribute("data-view").startswith("-57.0 ")
 
 
-def test_pointing_at_a_training_names_it(opened: Any, project: Path) -> None:
+def test_pointing_at_a_training_names_it(opened: Any, data: ReportData, project: Path) -> None:
     opened.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
     marks = opened.locator("#figure-trainings [data-tip]")
-    runs = read_runs(project / "results/small").query("method == 'network'")
+    runs = read_runs(data.study, project / "results/small").query("method == 'network'")
     assert marks.count() == len(runs)
     mark = marks.nth(9)
     mark.scroll_into_view_if_needed()

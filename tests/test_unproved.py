@@ -14,6 +14,7 @@ from report_study import finished
 from iksamples.answer.collect import read_runs
 from iksamples.certify import step as proving
 from iksamples.report.write import write_report
+from iksamples.study import read_study
 from iksamples.tracking.content import study_runs
 
 
@@ -93,8 +94,6 @@ def study(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def text_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    from iksamples.study import read_study
-
     monkeypatch.chdir(folder)
     results = Path("results/small")
     write_report(read_study(results / "study.json"), results, Path("reports/small"))
@@ -111,7 +110,7 @@ def test_the_tables_say_which_and_why(study: Any) -> None:
     wanted = expected.set_index(["method", "label", "seed"])["why"]
     assert told.to_dict() == wanted.to_dict()
     assert (table["verified"] == table["failed"].eq("")).all()
-    runs = read_runs(results).query("region == 'workspace'")
+    runs = read_runs(read_study(results / "study.json"), results).query("region == 'workspace'")
     assert runs.set_index(["method", "label", "seed"])["unproved"].to_dict() == wanted.to_dict()
 
 
@@ -130,13 +129,11 @@ def test_the_report_counts_them_and_says_why(study: Any, monkeypatch: pytest.Mon
 
 
 def test_a_logged_run_says_why(study: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from iksamples.study import read_study
-
     folder, expected = study
     monkeypatch.chdir(folder)
     results = Path("results/small")
     settings = read_study(results / "study.json")
-    logged = {one.name: one for one in study_runs(settings, results, read_runs(results))}
+    logged = {one.name: one for one in study_runs(settings, results, read_runs(settings, results))}
     for (method, label), rows in expected.groupby(["method", "label"]):
         run = logged[f"{method}, {label}"]
         numbers = {name: value for name, value, _ in run.metrics}

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from iksamples.errors import IksamplesError
 from iksamples.files import checked
 from iksamples.stats import Interval, Number
-from iksamples.study import Tolerance
+from iksamples.study import Study, Tolerance
 from iksamples.text import several
 
 
@@ -222,14 +222,15 @@ class Answer(Part):
         return self.model_dump_json(indent=2) + "\n"
 
 
-def read_answer(results: str | Path) -> Answer:
+def read_answer(results: str | Path, study: Study | None = None) -> Answer:
     """Reads the answer of a finished study.
 
     Args:
         results: The study's results folder, such as ``results/paper``.
+        study: The study; None: whichever it is of.
 
     Raises:
-        IksamplesError: The study is not finished, or the file is of another version.
+        IksamplesError: The study is not finished, or the file is of another version or run.
     """
     path = Path(results) / FILE
     try:
@@ -248,6 +249,12 @@ def read_answer(results: str | Path) -> Answer:
         raise IksamplesError(
             f"{path}: layout version {answer.version}, this iksamples reads {VERSION}. Run the "
             "study again."
+        )
+    if study:
+        from iksamples.results import own_cells
+
+        own_cells(
+            study, path, {(one.method, s.label) for one in answer.variants for s in one.sizes}
         )
     return answer
 

@@ -25,8 +25,8 @@ from iksamples.answer.extrapolate import STREAM, Forecast, extrapolate, forecast
 from iksamples.answer.sentences import failures, floor_told, headline, of_itself, told
 from iksamples.answer.sizes import answer_of, is_random, judge, required_share
 from iksamples.columns import RUNS, stored_table
-from iksamples.evaluation.errors import CUBE, FLOOR
-from iksamples.results import Cell
+from iksamples.evaluation.errors import FLOOR
+from iksamples.results import CUBE, Cell
 from iksamples.stats import Floats, Interval, compare, seeds_needed
 from iksamples.study import NETWORK, Study
 from iksamples.text import described
@@ -47,7 +47,7 @@ def answer_study(study: Study, results: str | Path) -> Answer:
     Raises:
         IksamplesError: The results are not complete, or contradict each other.
     """
-    rows = outcomes(study, read_runs(results))
+    rows = outcomes(study, read_runs(study, results))
     # Of records no network is kept, in which a reason could be looked for.
     folder = None if study.samples.recorded else Path(results)
     return answer(study, rows, folder, read_floor(study, results))
@@ -79,7 +79,7 @@ def answer(
     for one in found:
         why: list[Diagnosis] = []
         if results and one.status != "answered" and one.kind == "network":
-            cell = Cell(results, one.method, one.shown.label)
+            cell = Cell(study, results, one.method, one.shown.label)
             variant, rng = Variant(one.method, one.design), np.random.default_rng(STREAM)
             why = diagnose(study, variant, of_variants, cell, answers, rng)
         own = of_variants[Variant(one.method, one.design)]

@@ -3,6 +3,7 @@
 It is the only place where certificates are joined to errors and where what failed is marked.
 """
 
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +13,21 @@ import pandas as pd
 from iksamples.arm.chain import Floats
 from iksamples.columns import ANGLES, ERRORS, RUNS, stored_table
 from iksamples.errors import IksamplesError
-from iksamples.evaluation.errors import CUBE, send
+from iksamples.evaluation.errors import send
 from iksamples.evaluation.paths import count_waypoints
 from iksamples.methods.predictor import in_parts
 from iksamples.methods.registry import KINDS
 from iksamples.network import StackedMLP
-from iksamples.results import Cell, cells, certified, networks
+from iksamples.results import (
+    CUBE,
+    PROOFS,
+    Cell,
+    all_cells,
+    certified,
+    own_cells,
+    proofs,
+    require_own,
+)
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import Study, Tolerance
 from iksamples.task import Task, study_task
@@ -63,16 +73,10 @@ def collect(study: Study, results: str | Path) -> pd.DataFrame:
     """
     sets: dict[str, SampleSet] = {}
     frames = []
-    for name in study.all_methods:
-        learns = KINDS[study.all_methods[name].kind].needs_samples
-        # What needs no samples is the same whichever there are.
-        for design in study.designs(name)[: None if learns else 1]:
-            for cell in cells(study, results, name, design):
-                if cell.label not in sets:
-                    sets[cell.label] = cell.samples
-                frames.append(_measured(study, cell, sets[cell.label]))
-                if not learns:
-                    break
+    for cell in all_cells(study, results):
+        if cell.label not in sets:
+            sets[cell.label] = cell.samples
+        frames.append(_measured(study, cell, sets[cell.label]))
     rows = pd.concat(frames, ignore_index=True)
     if rows.empty:
         raise IksamplesError(f"{study.name}: no method has results. Run the study to its end.")
@@ -89,25 +93,19 @@ def certificates(study: Study, results: str | Path) -> pd.DataFrame:
     """The certificates of all methods that can have some, a row per network.
 
     Raises:
-        IksamplesError: A file is missing, or has a network twice.
+        IksamplesError: A file is missing, has a network twice, or is of another run.
     """
-    frames = []
-    for name in certified(study):
-        file = Path(results) / name / "certificates.csv"
-        frames.append(stored_table(file, [*_KEYS, "verified", "failed"]))
-    table = pd.concat(frames or [pd.DataFrame(columns=_KEYS)], ignore_index=True)
-    if table.duplicated(_KEYS).any():
-        raise IksamplesError(
-            f"{results}: certificates.csv has a network twice. Delete it and run the study again."
-        )
-    return table
+    files = [Path(results) / name / PROOFS for name in certified(study)]
+    frames = [proofs(study, file) for file in files]
+    nothing = pd.DataFrame(columns=[*_KEYS, "verified", "failed"])
+    return pd.concat(frames or [nothing], ignore_index=True)
 
 
-def read_runs(results: str | Path) -> pd.DataFrame:
+def read_runs(study: Study, results: str | Path) -> pd.DataFrame:
     """What ``collect`` found, from the results folder of a finished study.
 
     Raises:
-        IksamplesError: There is no such file, it is of another version, or a row is no run.
+        IksamplesError: There is no such file, it is of another version or run, or a row is no run.
     """
     file = Path(results) / FILE
     table = stored_table(file, tuple(RUNS), _RUN)
@@ -116,6 +114,12 @@ def read_runs(results: str | Path) -> pd.DataFrame:
     sound = len(table) > 0 and whole.all() and ((share > 0) & (share <= 1)).all()
     if not sound:
         raise IksamplesError(f"{file}: not as it was written. Run the study again.")
+    own = own_cells(study, file, set(zip(table["method"], table["label"], strict=True)))
+    if own:
+        regions = (WORKSPACE, *study.evaluation.paths)
+        wanted = [(one.method, one.label, *at) for one in own for at in product(one.seeds, regions)]
+        found = table[[*_KEYS, "region"]].itertuples(index=False, name=None)
+        require_own(study, file, "a run of", found, wanted)
     return table
 
 
@@ -127,26 +131,15 @@ def variants(runs: pd.DataFrame) -> dict[Variant, pd.DataFrame]:
 
 def _measured(study: Study, cell: Cell, samples: SampleSet) -> pd.DataFrame:
     """A cell's measured errors: a row per seed and region, none if the method has no results."""
-    trained = cell.method in networks(study)
     errors = cell.table("errors", tuple(ERRORS)).reset_index(drop=True)
-    strange = set(errors["region"]) - {CUBE, *study.evaluation.paths}
-    if strange:
-        raise IksamplesError(
-            f"{cell.folder}: errors on a path '{min(strange)}', which the study does not have. Run "
-            "the study again."
-        )
     finite = np.isfinite(errors[list(ERRORS)].to_numpy(float)).all(axis=1)
     failed = np.where(finite, "", _NO_ANSWER)
     if "failed" in errors:
         failed = np.where(errors["failed"].ne(""), errors["failed"], failed)
     learns = KINDS[study.all_methods[cell.method].kind].needs_samples
     n_samples = n_trained = samples.n_samples if learns else 0
-    if trained:
+    if cell.trained:
         members = cell.table("members", ("n_trained", "diverged")).set_index("seed")
-        if members.empty or not errors["seed"].isin(members.index).all():
-            raise IksamplesError(
-                f"{cell.folder}: its errors are not of its networks. Run the study again."
-            )
         n_trained = int(members["n_trained"].iloc[0])
         failed = np.where(errors["seed"].map(members["diverged"]), _DIVERGED, failed)
     rows = pd.DataFrame(

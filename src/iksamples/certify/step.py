@@ -332,7 +332,7 @@ def _training(task: Task, cell: Cell, seed: int) -> pd.DataFrame:
     All epochs are searched together, which takes less time than starting each search from the
     leaves of the one before.
     """
-    epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
+    epochs, networks = networks_over_epochs(cell, seed)
     finite = networks.finite_rows()
     sound, x = networks.select(finite), cell.samples.x
     chain = task.chain_of(seed)

@@ -226,10 +226,11 @@ def collect(study_file: StudyFile, results: Results) -> None:
     """Put all errors and certificates into one table, runs.parquet, and all certificates in one."""
     from iksamples.answer.collect import FILE, certificates
     from iksamples.answer.collect import collect as collect_runs
+    from iksamples.results import PROOFS
 
     study = read(study_file)
     runs = collect_runs(study, results)
-    with kept_file(results / "certificates.csv") as file:
+    with kept_file(results / PROOFS) as file:
         certificates(study, results).to_csv(file, index=False)
     with kept_file(results / FILE) as file:
         runs.to_parquet(file)
@@ -262,10 +263,11 @@ def learn(study_file: StudyFile, results: Results) -> None:
 def table(study_file: StudyFile, results: Results) -> None:
     """Aggregate over seeds: table.csv beside the paper's Table 1, and its claims judged."""
     from iksamples.paper.gather import claims_table, study_table
-    from iksamples.results import cells
+    from iksamples.results import PROOFS, cells
+    from iksamples.results import proofs as read_proofs
 
     study, task = open_study(study_file)
-    proofs = stored_table(results / "certificates.csv", key=("method", "label", "seed"))
+    proofs = read_proofs(study, results / PROOFS, task.x.columns("argmax_"))
     tables = {
         "table.csv": study_table(study, cells(study, results), proofs),
         "claims.csv": claims_table(study, task, results, proofs),
@@ -286,7 +288,7 @@ def answer(study_file: StudyFile, results: Results) -> None:
     for line in found.failures:
         say(line, err=True)
     with kept_file(results / "samples-needed.csv") as file:
-        samples_needed(study, outcomes(study, read_runs(results))).to_csv(file, index=False)
+        samples_needed(study, outcomes(study, read_runs(study, results))).to_csv(file, index=False)
     with kept_file(results / "answer.json") as file:
         file.write_text(found.to_json(), encoding="utf-8")
 
@@ -313,13 +315,13 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
     from iksamples.study import NETWORK
     from iksamples.task import study_task
 
-    study, answer = read(study_file), read_answer(results)
+    study = read(study_file)
     if not study.replication.seeds:
         raise IksamplesError(
             f"{study_file}: replication.seeds is 0; say how many fresh trainings, 200 for example."
         )
     found = []
-    for one in answers_to_replicate(answer):
+    for one in answers_to_replicate(read_answer(results, study)):
         fresh = fresh_study(study, one)
         folder = results / FRESH / f"{one.method}-{one.design}"
         settings, network = folder / "study.json", folder / NETWORK
@@ -335,7 +337,7 @@ def replicate(study_file: StudyFile, results: Results, output: Output) -> None:
         if NETWORK in certified(fresh):
             prove(settings, sets, NETWORK, network, network / "certificates.csv")
         collect(settings, folder)
-        check = replication(study.tolerance, one, outcomes(fresh, read_runs(folder)))
+        check = replication(study.tolerance, one, outcomes(fresh, read_runs(fresh, folder)))
         say(f"{one.method}, {one.design}: {check.statement}")
         found.append(check)
     with kept_file(output) as file:

@@ -24,14 +24,12 @@ from iksamples.methods.predictor import (
 )
 from iksamples.methods.registry import KINDS, fit_each
 from iksamples.network import StackedMLP, layers_of, read_tensors
+from iksamples.results import CUBE, Cell
 from iksamples.samples.dataset import SampleSet
 from iksamples.samples.record import region_points
 from iksamples.study import MAX_EPOCHS, Evaluation, Study
 from iksamples.task import Task
 
-
-CUBE = "cube"
-"""Name of the region of a table that is the whole region of the study."""
 
 _ROWS, _AT_ONCE = 2**20, 2**16
 """Points of all members in tables that are held at once, and that are followed to the tool."""
@@ -270,11 +268,11 @@ def median_seed(waypoints: pd.DataFrame) -> int:
     return int(ranked.index[(len(ranked) - 1) // 2])
 
 
-def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64], StackedMLP]:
+def networks_over_epochs(cell: Cell, seed: int) -> tuple[NDArray[np.int64], StackedMLP]:
     """The network of one seed at every epoch that was kept.
 
     Args:
-        path: Snapshots of a grid's training (safetensors).
+        cell: A network's training.
         seed: Which seed.
 
     Returns:
@@ -284,6 +282,7 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
     Raises:
         IksamplesError: The file cannot be read, or holds no such networks.
     """
+    path = cell.folder / "snapshots.safetensors"
     tensors, header = read_tensors(path)
     try:
         row = header["seeds"].index(seed)
@@ -301,9 +300,11 @@ def networks_over_epochs(path: str | Path, seed: int) -> tuple[NDArray[np.int64]
             (seed,) * len(kept),
         )
         stack.require_sound()
+        if [one.shape[1:] for one in weights] != [one.shape[1:] for one in cell.network.weights]:
+            raise ValueError
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         raise IksamplesError(
-            f"{path}: not the networks over the epochs. Run the study again."
+            f"{path}: not these networks over the epochs. Delete it and run the study again."
         ) from None
     return epochs[kept], stack
 

@@ -84,7 +84,7 @@ def choose(
             "away. Export from a study whose samples are computed."
         )
     one, label, why = _variant(answer, method, samples)
-    runs = read_runs(results)
+    runs = read_runs(study, results)
     runs = runs[(runs["method"] == one.method) & (runs["label"] == label)]
     runs = runs[(runs["region"] == WORKSPACE) & runs["failed"].eq("")]
     if seed is None:
@@ -98,7 +98,7 @@ def choose(
     elif seed not in set(runs["seed"]):
         known = ", ".join(map(str, sorted(runs["seed"])))
         raise IksamplesError(f"{one.method} on {label}: no sound seed {seed}; there are {known}.")
-    cell = Cell(results, one.method, label)
+    cell = Cell(study, results, one.method, label)
     return Choice(study, cell, cell.network.select([cell.network.seeds.index(seed)]), why)
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from iksamples.answer.curves import GridCurve, fit_published, fit_seeds
 from iksamples.arm.chain import Floats
-from iksamples.evaluation.errors import CUBE, send
+from iksamples.evaluation.errors import send
 from iksamples.paper import equations as paper
 from iksamples.paper.claims import judge_claims
 from iksamples.paper.equations import (
@@ -20,7 +20,7 @@ from iksamples.paper.equations import (
     reading_table,
     scale_mm,
 )
-from iksamples.results import Cell, cells
+from iksamples.results import CUBE, Cell, cells
 from iksamples.samples.record import region_points
 from iksamples.stats import FEWEST_SEEDS, Interval, draws
 from iksamples.study import NETWORK, Study

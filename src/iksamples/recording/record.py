@@ -239,7 +239,7 @@ def record_path(study: Study, path_name: str, cells: Iterable[Cell], output: str
         output: The ``.rrd`` file.
 
     Raises:
-        IksamplesError: The path was not evaluated.
+        IksamplesError: The path was not evaluated, or the results are of another run.
     """
     by_label = {cell.label: cell for cell in cells}
     task = study_task(study, next(iter(by_label.values())).samples.region)

@@ -10,10 +10,9 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from iksamples.arm.chain import MM_PER_M, Floats
-from iksamples.columns import stored_table
-from iksamples.errors import IksamplesError
 from iksamples.evaluation.errors import Reached, median_seed, networks_over_epochs, send
-from iksamples.results import Cell
+from iksamples.evaluation.paths import count_waypoints
+from iksamples.results import PROOFS, Cell, proofs, require_own
 from iksamples.task import Task
 from iksamples.text import domain, percent, percent_down, percent_up
 
@@ -70,15 +69,15 @@ def read_grid(task: Task, path_name: str, cell: Cell) -> ShownGrid:
     Raises:
         IksamplesError: The results know no such path.
     """
-    table = cell.table("waypoints")
+    study, table = cell.study, cell.table("waypoints")
     table = table[table["path"] == path_name]
-    if table.empty:
-        raise IksamplesError(f"{cell.folder}: path '{path_name}' was not evaluated.")
+    file, n = cell.folder / "waypoints.parquet", count_waypoints(study.evaluation.paths[path_name])
+    require_own(study, file, "waypoint", table["waypoint"], range(n))
     seed = median_seed(table)
     rows = table[table["seed"] == seed].sort_values("waypoint")
     target = rows[task.x.columns("target_")].to_numpy(float)
     pen_up = rows["pen_up"].to_numpy(bool)
-    epochs, networks = networks_over_epochs(cell.folder / "snapshots.safetensors", seed)
+    epochs, networks = networks_over_epochs(cell, seed)
     return ShownGrid(
         label=cell.label,
         samples_mm=task.positions_mm(cell.samples.x),
@@ -179,7 +178,11 @@ def read_proof(task: Task, cell: Cell, seed: int) -> Proof | None:
     found = [cell.folder / f"{name}.parquet" for name in ("unsafe", "training_bound")]
     if not all(file.exists() for file in found):
         return None
-    unsafe, training = (_of_seed(cell.table(file.stem), seed) for file in found)
+    corners = [*task.x.columns("lower_"), *task.x.columns("upper_")]
+    unsafe, training = (
+        _of_seed(cell.table(file.stem, needed), seed)
+        for file, needed in zip(found, (corners, ()), strict=True)
+    )
     if unsafe.empty or training.empty:
         return None
     head = unsafe.iloc[0]
@@ -322,12 +325,12 @@ def _of_seed(table: pd.DataFrame, seed: int) -> pd.DataFrame:
 
 def _worst_point(task: Task, cell: Cell, seed: int) -> tuple[Floats | None, float]:
     """Where the largest known error is, and how large it is."""
-    file = cell.folder.parent / "certificates.csv"
+    file, place = cell.folder.parent / PROOFS, task.x.columns("argmax_")
     if not file.exists():
         return None, float("nan")
-    table = stored_table(file)
+    table = proofs(cell.study, file, [*place, "sup_lower_mm"])
     rows = table[(table["label"] == cell.label) & (table["seed"] == seed)]
     if rows.empty:
         return None, float("nan")
-    at = rows[task.x.columns("argmax_")].to_numpy(float)[0]
+    at = rows[place].to_numpy(float)[0]
     return task.positions_mm(at), float(rows["sup_lower_mm"].iloc[0])

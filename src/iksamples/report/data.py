@@ -18,7 +18,7 @@ from iksamples.errors import IksamplesError, in_a_line
 from iksamples.evaluation.errors import median_seed
 from iksamples.files import stored_object
 from iksamples.methods.registry import KINDS
-from iksamples.results import Cell, cells
+from iksamples.results import PROOFS, Cell, cells, proofs, require_own
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
 from iksamples.text import domain, trial
@@ -136,7 +136,7 @@ class ReportData:
     @cached_property
     def answer(self) -> Answer | None:
         """How many samples the tolerance takes; None where that was not worked out."""
-        return read_answer(self.results) if (self.results / ANSWER).exists() else None
+        return read_answer(self.results, self.study) if (self.results / ANSWER).exists() else None
 
     @cached_property
     def fresh(self) -> list[Replication]:
@@ -147,17 +147,23 @@ class ReportData:
     def samples_needed(self) -> pd.DataFrame:
         """Samples needed against tolerance; empty where that was not worked out."""
         file = self.results / "samples-needed.csv"
-        return stored_table(file).dropna(subset="n_samples") if file.exists() else pd.DataFrame()
+        if not file.exists():
+            return pd.DataFrame()
+        table = stored_table(file, ["method"])
+        require_own(self.study, file, "method", table["method"], self.study.all_methods, some=True)
+        return table.dropna(subset="n_samples")
 
     @cached_property
     def certificates(self) -> pd.DataFrame:
         """What is proved of the networks of ``own``; empty where nothing is."""
-        file = self.results / "certificates.csv"
+        file = self.results / PROOFS
         if not file.exists():
             return pd.DataFrame()
-        table = stored_table(file)
+        table = proofs(self.study, file)
         if table.empty:  # arms that give way have none
             return pd.DataFrame()
+        place = self.sets[0].space.columns("argmax_")
+        require_own(self.study, file, "column", table.filter(regex="^argmax_").columns, place)
         table = table.drop(columns=["n_samples"])
         own = self.own[["label", "seed", "n_samples", "error_max_mm"]]
         return own.merge(table[table["method"] == NETWORK], on=["label", "seed"])
@@ -180,7 +186,7 @@ def read_report_data(study: Study, results: Path, command: str) -> ReportData:
     Raises:
         IksamplesError: A result is missing or unreadable.
     """
-    runs = read_runs(results)
+    runs = read_runs(study, results)
     failed = runs["failed"].ne("")
     sound = runs[~failed].assign(
         worst_mm=runs["sup_upper_mm"].fillna(runs["error_max_mm"]),

@@ -85,7 +85,7 @@ def worst(data: ReportData) -> dict[str, Any]:
         return {}
     largest = list(data.cells)[-1]
     unsafe, slices = data.shown_rows("unsafe"), data.shown_rows("slices")
-    maps = slices[slices["label"] == largest] if len(slices) else slices
+    maps, cover = (one[one["label"] == largest] if len(one) else one for one in (slices, unsafe))
     wish, turns = data.study.tolerance, "angle_upper_deg" in proofs
     allowed = {"error_mm": wish.error_mm} | ({"angle_deg": wish.angle_deg} if turns else {})
     long = pd.concat(
@@ -131,7 +131,7 @@ def worst(data: ReportData) -> dict[str, Any]:
         "turns": turns,
         "everywhere": bool((shown["sup_upper_mm"] <= wish.error_mm).any()),
         "shown": data.shown[largest],
-        "coverage": unsafe[unsafe["label"] == largest].iloc[0] if len(unsafe) else None,
+        "coverage": cover.iloc[0] if len(cover) else None,
         "epochs": _epochs_drawing(data.shown_rows("training_bound")),
     }  # fmt: skip
 

@@ -19,7 +19,7 @@ from iksamples.answer.collect import WORKSPACE, Variant, variants
 from iksamples.answer.sentences import unproved
 from iksamples.files import checked
 from iksamples.paper.equations import paper_table
-from iksamples.results import Cell, networks
+from iksamples.results import Cell
 from iksamples.samples.dataset import SampleSet
 from iksamples.study import NETWORK, Study
 
@@ -110,7 +110,7 @@ def _variant_run(study: Study, variant: Variant, sizes: list[RunContent]) -> Run
 
 def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame) -> RunContent:
     """The run of a variant on one set of samples."""
-    cell = Cell(results, variant.method, str(rows["label"].iloc[0]))
+    cell = Cell(study, results, variant.method, str(rows["label"].iloc[0]))
     first = rows.iloc[0]
     n = int(first["n_samples"])
     sound = rows[rows["failed"].eq("")]
@@ -118,7 +118,7 @@ def _size_run(study: Study, results: Path, variant: Variant, rows: pd.DataFrame)
     metrics = [*_errors(sound, n), ("n_failed", float(of_seeds["failed"].ne("").sum()), n)]
     metrics.append(("n_unproved", float(sound["unproved"].ne("").sum()), n))
     recorded = study.samples.recorded is not None
-    trained = variant.method in networks(study) and not recorded
+    trained = cell.trained and not recorded
     if trained:
         history = cell.table("history")
         metrics += _losses(history[history["seed"].isin(sound["seed"])])

@@ -67,7 +67,7 @@ def track(study: Study, results: Path, output: Path) -> Outcome:
         IksamplesError: The study is not finished.
     """
     # All of it read first, so that a missing file stops this before anything is written.
-    contents = list(study_runs(study, results, read_runs(results)))
+    contents = list(study_runs(study, results, read_runs(study, results)))
     uri, whose = tracking_uri(study), owner()
     # One owner's runs are looked for and then made: two at once would make them twice.
     with writing(output):
