@@ -159,7 +159,8 @@ def backtest(results: Path) -> pd.DataFrame:
         A row per variant, statistic, beginning of the sizes and tolerance: study, variant, kind,
         reason (empty: a number is printed), holds.
     """
-    study, runs = read_study(results / "study.json"), read_runs(results)
+    study = read_study(results / "study.json")
+    runs = read_runs(study, results)
     measured = runs.assign(verified=False, sup_upper_mm=np.nan, sup_lower_mm=np.nan)
     rows = []
     for of in STATISTICS:
