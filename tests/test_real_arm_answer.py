@@ -208,6 +208,27 @@ def test_a_report_over_arms_begins_with_their_floor_and_says_what_each_method_kn
     assert answer.variant("fitted").status == "answered"
 
 
+@pytest.mark.slow
+def test_a_report_over_too_few_arms_for_any_tolerance_is_written(tmp_path, monkeypatch):
+    """How far off a drawing is cannot be said at that confidence, and is not said."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(Path(__file__).parents[1] / "config")
+    study = finished(
+        {
+            "name": "arms", "arm": DEVIATES, "samples": {"points_per_axis": [2]},
+            "training": {"seeds": 2, "epochs": 10}, "evaluation": {"cube_points": 64},
+            "methods": {"drawn": {"kind": "nominal"}},
+            "tolerance": {"success_share": 0.9, "confidence": 0.95, "error_mm": 8},
+        },
+        tmp_path, paper=False,
+    )  # fmt: skip
+    assert np.isnan(read_answer("results/arms").variant("drawn").shown.tolerance_bound_mm)
+    write_report(study, "results/arms", "reports/arms")
+    ladder = html.parse("reports/arms/index.html").xpath("//div[@id='figure-samples']//text()")
+    assert any(text.startswith("none:") for text in ladder)
+    assert not any("nan" in text for text in ladder)
+
+
 def test_methods_that_are_trained_share_the_studys_samples():
     sobol = {"design": "sobol"}
     assert arm_study({}, methods={"c": {"kind": "calibrated", **sobol}}).designs("c") == ["sobol"]

@@ -162,8 +162,11 @@ def _amounts_drawing(data: ReportData) -> figures.Drawing | None:
         if data.learns[one.method]:
             rows.append((how == "not enough", n, line, how))
         elif data.study.arm:
-            off = millimetres(one.shown.tolerance_bound_mm)
-            rows.append((False, 0, line, f"none: off by up to {off}"))
+            bound_mm = one.shown.tolerance_bound_mm
+            off = f"too few {data.trial}s to say how far off"
+            if np.isfinite(bound_mm):
+                off = f"off by up to {millimetres(bound_mm)}"
+            rows.append((False, 0, line, f"none: {off}"))
     if not rows:
         return None
     rows.sort(key=lambda row: row[:2])
