@@ -1,5 +1,6 @@
 """The checker: balls against exact numbers, its arm against the search's, and forgeries."""
 
+import tracemalloc
 from dataclasses import replace
 from fractions import Fraction
 
@@ -24,6 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iksamples.arm.target import Target
+from iksamples.certify import checker_network
 from iksamples.certify.balls import Ball, norm_above, sum_above, tiles
 from iksamples.certify.checker_arm import Arm
 from iksamples.certify.checker_network import Terms
@@ -588,3 +590,26 @@ def test_a_linear_answer_needs_no_leaves_but_the_first(rng):
     assert certificate.boxes == 64
     checked = check(certificate, stack, 0, gantry, Region.box((0, 0, 0), (10, 10, 10)))
     assert checked.upper == pytest.approx(checked.lower, rel=1e-12)
+
+
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_how_many_leaves_are_checked_at_once_changes_no_bound(monkeypatch, activation):
+    stack = random_network(np.random.default_rng(5), (2, 8, 8, 2), activation, upper=(50, 50))
+    chain = planar((60.0, 50.0))
+    certificate = certify_sup(stack, 0, chain, SQUARE, rtol=0.01, keep_leaves=True)
+    checked = check(certificate, stack, 0, chain, SQUARE)
+    monkeypatch.setattr(checker_network, "_NUMBERS", 300)
+    assert check(certificate, stack, 0, chain, SQUARE) == checked
+
+
+def test_a_wide_network_is_checked_in_little_memory():
+    """Its noise is a square of its neurons for each leaf: once for all leaves, 20 GB for 4096."""
+    stack = random_network(np.random.default_rng(6), (2, 2500, 2), "tanh", upper=(50, 50))
+    chain = planar((60.0, 50.0))
+    certificate = certify_sup(stack, 0, chain, SQUARE, max_boxes=200, keep_leaves=True)
+    tracemalloc.start()
+    try:
+        assert check(certificate, stack, 0, chain, SQUARE).verified
+        assert tracemalloc.get_traced_memory()[1] < 1.5e9
+    finally:
+        tracemalloc.stop()

@@ -56,8 +56,6 @@ from iksamples.region import Region
 
 Floats = NDArray[np.float64]
 
-_BATCH = 512
-
 
 @dataclass(frozen=True, eq=False)
 class Claim:
@@ -190,8 +188,8 @@ class _Checks:
         if not tiles(leaves.part, leaves.lower, leaves.upper, region.lower.shape):
             return np.inf
         upper = 0.0
-        for first in range(0, len(leaves.part), _BATCH):
-            some = slice(first, first + _BATCH)
+        for first in range(0, len(leaves.part), self.answers.at_once):
+            some = slice(first, first + self.answers.at_once)
             part = leaves.part[some]
             low, high = Ball.of(region.lower[part]), Ball.of(region.upper[part])
             # Shares of the edges are binary fractions: their half sums and differences are exact.

@@ -1,7 +1,7 @@
 """The checker's own enclosures in ball arithmetic: of a network, and of a look-up table."""
 
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import accumulate, combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,11 @@ from iksamples.network import StackedMLP
 
 
 Floats = NDArray[np.float64]
+
+AT_ONCE = 512
+"""Leaves that are enclosed at once."""
+_NUMBERS = 2**25
+"""Fewer where a network is so wide that its noise would be more numbers than these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,13 @@ class Network:
     def n_outputs(self) -> int:
         """Width of the output."""
         return len(self.biases[-1])
+
+    @property
+    def at_once(self) -> int:
+        """Leaves to enclose at once: each neuron's noise is carried through all layers after it."""
+        widths = [weight.shape[1] for weight in self.weights[:-1]]
+        carried = (n * width for n, width in zip(accumulate(widths), widths, strict=True))
+        return max(1, min(AT_ONCE, _NUMBERS // max(carried, default=1)))
 
     def terms(self, centre: Ball, half: Ball) -> "Terms":
         """The network over leaves."""
@@ -263,6 +275,8 @@ def _third_derivative(z: Ball) -> Floats:
 
 class CheckedTable:
     """A look-up table whose nodes and joint values are known exactly."""
+
+    at_once = AT_ONCE
 
     def __init__(self, table: Table) -> None:
         """Refuses what is no table.

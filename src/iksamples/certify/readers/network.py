@@ -38,8 +38,9 @@ _OTHER_KINDS = {
 }
 _KINDS = "give .onnx, or a state dict as .safetensors, .pt, .pth or .ckpt"
 
-_MOST_WEIGHTS = 750_000
-"""As many as take 8 GB: 67 000 took 0.7 GB and 265 000 took 2.9 GB, in two hidden layers."""
+_MOST_WEIGHTS, _WIDEST = 750_000, 5000
+"""A search holds rows of weights for many boxes, and a check a square of the widest layer for each
+leaf: 1.4 GB in all for two hidden layers of 850 neurons, and 1 GB for one of 4096."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +117,12 @@ def load_network(
 
 def _require_room(network: StackedMLP) -> None:
     n_weights = sum(layer[0].size for layer in network.weights)
-    if n_weights > _MOST_WEIGHTS:
+    widest = max(layer.shape[-1] for layer in network.weights)
+    if n_weights > _MOST_WEIGHTS or widest > _WIDEST:
         raise IksamplesError(
-            f"has {n_weights} weights, each of which takes a proof some 10 kB of memory; no more "
-            f"than {_MOST_WEIGHTS} are proved. Train a smaller network to answer as it does"
+            f"has {n_weights} weights and up to {widest} neurons in a layer; a proof of more than "
+            f"{_MOST_WEIGHTS} or {_WIDEST} takes too much memory. Train a smaller network to "
+            "answer as it does"
         )
 
 
