@@ -326,14 +326,15 @@ def test_a_report_with_a_damaged_or_lost_figure_is_made_again(project, tmp_path,
 
 
 @pytest.mark.parametrize("damage", [flip, cut, Path.unlink])
-def test_a_damaged_or_lost_front_page_is_made_again(project, tmp_path, damage):
+def test_what_is_no_rules_output_is_made_again_as_well(project, tmp_path, damage):
     folder = tmp_path / "damaged"
     shutil.copytree(project, folder)
-    front = folder / "reports/index.html"
-    before = front.read_bytes()
-    damage(front)
+    files = [folder / "reports/index.html", folder / "results/tiny/study.json"]
+    before = [file.read_bytes() for file in files]
+    for file in files:
+        damage(file)
     snakemake(folder, "--cores", "2", "--configfile", TINY)
-    assert front.read_bytes() == before
+    assert [file.read_bytes() for file in files] == before
     assert planned(folder, "--configfile", TINY) == set()
 
 

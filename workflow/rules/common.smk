@@ -98,8 +98,16 @@ def start_run():
         stop("another run is working in this folder; wait for it or stop it.")
     except OSError as error:
         stop(f"cannot write into this folder, {os.getcwd()} ({error.strerror}).")
-    with whole_file(f"results/{STUDY.name}/study.json") as file:
-        file.write_text(STUDY.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    write_study()
+
+
+def write_study():
+    """Writes the study, unless it is there already."""
+    path = Path(f"results/{STUDY.name}/study.json")
+    text = (STUDY.model_dump_json(indent=2) + "\n").encode()
+    if not path.is_file() or path.read_bytes() != text:
+        with whole_file(path) as file:
+            file.write_bytes(text)
 
 
 def make_again(files):
@@ -126,15 +134,18 @@ def make_again(files):
             put_aside(Path(file))
         if "command" in tracked():
             MANIFEST.unlink()
-        # The page of all studies is no rule's output: that of each study is written with it.
-        front = Path("reports/index.html")
-        if Path(f"reports/{STUDY.name}/index.html").exists() and not is_intact(front):
-            from iksamples.report.write import write_front_page
+        if not Path(f"reports/{STUDY.name}/index.html").exists():
+            return
+        # Of a finished study, two files are no rule's output: its settings, as a run starts with
+        # them, and the page of all studies, which is written with that of each.
+        try:
+            write_study()
+            if not is_intact(Path("reports/index.html")):
+                from iksamples.report.write import write_front_page
 
-            try:
-                write_front_page(front.parent, "docs/studies")
-            except IksamplesError as error:
-                stop(error)
+                write_front_page("reports", "docs/studies")
+        except IksamplesError as error:
+            stop(error)
 
 
 def results_folder(wildcards):
