@@ -251,6 +251,7 @@ def read_answer(results: str | Path, study: Study | None = None) -> Answer:
             "study again."
         )
     if study:
+        # Not above: `recommend` reads this file alone, and samples and methods take time to import.
         from iksamples.results import own_cells
 
         own_cells(
